@@ -448,20 +448,20 @@ export function restOf(document) {
     method,
     ...parameters,
     coincident: document.coincident ?? MEAN,
-    grid: typeof grid === "number" ? { cell: grid } : grid,
+    grid: infoOf(document).mesh ? "auto" : typeof grid === "number" ? { cell: grid } : grid,
     output,
   };
 }
 
 /**
  * The metric of a warp object, with its mask; methods without a focus have none, which a session
- * has to be told.
+ * has to be told. A mesh of its own follows the mask too.
  * @param {Page.Document} document
  * @returns {Pick<Page.Rest, "metric" | "mask">}
  */
 function metricIn(document) {
   const metric = metricOf(document);
-  return metric === "geodesic"
+  return metric === "geodesic" || infoOf(document).mesh
     ? { metric, mask: { threshold: thresholdOf(document) } }
     : { metric };
 }
@@ -474,7 +474,9 @@ function metricIn(document) {
 function ownOf(document) {
   const { object, name, parameters } = infoOf(document);
   if (!object) return {};
-  const usual = Object.fromEntries(parameters.map((own) => [own.name, own.default]));
+  /** @type {Record<string, number>} */
+  const usual = {};
+  for (const own of parameters) if (own.default !== null) usual[own.name] = own.default;
   return { [name]: { ...usual, ...document.own?.[name] } };
 }
 
@@ -487,6 +489,20 @@ export const ownIn = (object) =>
   infoOf(object).object
     ? { [object.method]: /** @type {Page.Json} */ (object)[object.method] }
     : {};
+
+/**
+ * The same without what the image decides and the document does not say.
+ * @type {(object: Page.SessionObject, document: Page.Document) => unknown}
+ */
+function ownKnown(object, document) {
+  const { name, parameters } = infoOf(object);
+  const own = ownIn(object)[name];
+  const isKnown = (/** @type {string} */ key) =>
+    document.own?.[name]?.[key] !== undefined ||
+    parameters.some((known) => known.name === key && known.default !== null);
+  if (!own) return {};
+  return { [name]: Object.fromEntries(Object.entries(own).filter(([key]) => isKnown(key))) };
+}
 
 /**
  * The defaults of `output`, which an exported warp object leaves out.
@@ -569,7 +585,7 @@ export function sameRest(object, document) {
     [object.smoothing, smoothing],
     [object.metric ?? "euclidean", metric],
     [object.mask, mask],
-    [ownIn(object), ownOf(document)],
+    [ownKnown(object, document), ownOf(document)],
     [object.coincident_policy ?? MEAN, coincident],
     [object.grid.requested, grid],
     ...names.map((name) => /** @type {[unknown, unknown]} */ ([object.output[name], output[name]])),

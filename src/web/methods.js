@@ -6,6 +6,7 @@ export const METHODS = [
   {
     "handles": "all",
     "interpolates": true,
+    "mesh": false,
     "name": "rigid",
     "object": false,
     "parameters": [
@@ -26,6 +27,7 @@ export const METHODS = [
   {
     "handles": "all",
     "interpolates": true,
+    "mesh": false,
     "name": "similarity",
     "object": false,
     "parameters": [
@@ -46,6 +48,7 @@ export const METHODS = [
   {
     "handles": "all",
     "interpolates": true,
+    "mesh": false,
     "name": "affine",
     "object": false,
     "parameters": [
@@ -66,6 +69,7 @@ export const METHODS = [
   {
     "handles": "points",
     "interpolates": "smoothing",
+    "mesh": false,
     "name": "tps",
     "object": false,
     "parameters": [
@@ -81,6 +85,7 @@ export const METHODS = [
   {
     "handles": "all",
     "interpolates": false,
+    "mesh": false,
     "name": "global_affine",
     "object": false,
     "parameters": [
@@ -96,6 +101,7 @@ export const METHODS = [
   {
     "handles": "lines",
     "interpolates": "a",
+    "mesh": false,
     "name": "beier_neely",
     "object": true,
     "parameters": [
@@ -117,5 +123,21 @@ export const METHODS = [
     ],
     "sentence": "Every line carries its surroundings along, as in the morphs of films. It stretches along a line and not across it, and reaches far.",
     "title": "Morph"
+  },
+  {
+    "handles": "all",
+    "interpolates": true,
+    "mesh": true,
+    "name": "arap",
+    "object": true,
+    "parameters": [
+      {
+        "default": null,
+        "name": "cell",
+        "sentence": "Side of the pieces of the mesh, in px; by default about 3000 of them cover the picture."
+      }
+    ],
+    "sentence": "Poses a cut-out like a puppet of rubber: it follows the outline, and its pieces turn and keep their size where they can.",
+    "title": "Puppet"
   }
 ];

@@ -9,6 +9,7 @@ import {
   filterOf,
   hasFocus,
   hasPinsOnly,
+  infoOf,
   kindName,
   kindOfOutside,
   mayHave,
@@ -327,7 +328,11 @@ export class Panel {
     const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
     text(
       "alpha-note",
-      isFocused ? focus : "This method has no focus: each handle affects the whole picture.",
+      isFocused
+        ? focus
+        : infoOf(document).mesh
+          ? "This method has no focus: its mesh follows the outline."
+          : "This method has no focus: each handle affects the whole picture.",
     );
     const select = find("grid-size");
     const tolerance = typeof document.grid === "object" ? document.grid.tolerance : 0;
@@ -335,6 +340,7 @@ export class Panel {
     if (![...select.options].some((option) => option.value === value))
       select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
     select.value = value;
+    select.disabled = infoOf(document).mesh;
     const outside = outsideOf(document);
     const kind = kindOfOutside(outside);
     this.#offerValue(typeof outside === "object" ? outside : null);

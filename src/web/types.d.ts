@@ -35,7 +35,10 @@ declare namespace Page {
     interpolates: boolean | string;
     /** Whether its parameters stand in an object of its name. */
     object: boolean;
-    parameters: { name: string; default: number; sentence: string }[];
+    /** Whether it draws a mesh of its own, so that there is no grid to choose. */
+    mesh: boolean;
+    /** `default`: null if it depends on the image. */
+    parameters: { name: string; default: number | null; sentence: string }[];
   };
   type Metric = "euclidean" | "geodesic";
   type Filter = "nearest" | "bilinear" | "bicubic";

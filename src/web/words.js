@@ -58,6 +58,10 @@ const PROBLEMS = {
     "Nothing lies inside the outline",
     "Lower “Solid from”, or let handles act across gaps (Deformation).",
   ],
+  too_many_vertices: [
+    "The picture has too many pieces for a puppet",
+    "Choose another method, or open a smaller picture.",
+  ],
   no_such_session: [
     "The session has expired",
     "Open the picture again: the server keeps it for a limited time, and this browser has no copy.",

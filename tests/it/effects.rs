@@ -213,6 +213,15 @@ fn values(schema: &str, field: &str) -> (Value, Value, Value) {
             json!({"threshold": 0.2}),
             json!({"threshold": 0.8}),
         ),
+        // Without an image there is no mesh.
+        "arap" if ["Points", "Report", "Map"].contains(&schema) => {
+            (no, Value::Null, json!({"cell": 8}))
+        }
+        "arap" => (
+            json!({"method": "arap"}),
+            json!({"cell": 2}),
+            json!({"cell": 32}),
+        ),
         // Points that are one, and points that are two.
         "coincident" => (twins, json!({"within": 0}), json!({"within": 3})),
         "units" => (small, json!("px"), json!("normalized")),

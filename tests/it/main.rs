@@ -7,6 +7,7 @@
 )]
 
 mod align;
+mod arap;
 mod bad_input;
 mod batch;
 mod beier_neely;

@@ -33,6 +33,7 @@ fn row(info: &MethodInfo) -> Value {
             Interpolation::Never => json!(false),
         },
         "object": info.has_object,
+        "mesh": info.mesh.is_some(),
         "parameters": parameters.collect::<Vec<_>>(),
     })
 }

@@ -403,6 +403,8 @@ fn warp_with(schema: &str, example: &Value) -> Value {
         "BeierNeely" => json!({"method": "beier_neely", "beier_neely": example,
             "p": [[[40, 30], [90, 40]]], "q": [[[44, 36], [88, 30]]]}),
         "Mask" => json!({"metric": "geodesic", "mask": example, "p": [[40, 30]], "q": [[44, 36]]}),
+        "Arap" => json!({"method": "arap", "arap": example,
+            "p": [[40, 30], [90, 40]], "q": [[44, 36], [88, 30]]}),
         "Canvas" => json!({"output": {"canvas": example}}),
         "Output" => json!({"output": example}),
         "WarpObject" => example.clone(),

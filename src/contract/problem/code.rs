@@ -67,6 +67,7 @@ codes! {
     AlphaOutOfRange = 422, "alpha_out_of_range", "Alpha out of range";
     OutsideMask = 422, "outside_mask", "Handle outside the mask";
     EmptyMask = 422, "empty_mask", "Empty mask";
+    TooManyVertices = 422, "too_many_vertices", "Too many vertices";
     NoTable = 422, "no_table", "No table of coefficients";
     Folded = 422, "folded", "The warp folds";
     UpgradeRequired = 426, "upgrade_required", "Upgrade required";

@@ -71,6 +71,9 @@ impl From<WarpError> for Problem {
                 .actual(actual),
             WarpError::UnusedMask => Self::new(Code::BadValue, detail).pointer("/mask"),
             WarpError::NoTable { .. } => Self::new(Code::NoTable, detail),
+            WarpError::CutBorder => {
+                Self::new(Code::NotSupported, detail).pointer("/output/outside")
+            }
             WarpError::NoImage | WarpError::CutGrid { .. } => {
                 Self::new(Code::NotSupported, detail).pointer("/metric")
             }
@@ -183,6 +186,15 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
         DeformError::MaskTooWinding { limit, operations } => {
             too_large().limit("work", limit, operations)
         }
+        DeformError::TooManyVertices { limit } => new(Code::TooManyVertices)
+            .pointer("/arap/cell")
+            .limit("arap_vertices", limit, limit + 1),
+        DeformError::MeshTooLarge {
+            what,
+            limit,
+            actual,
+        } => too_large().limit(what, limit, actual),
+        DeformError::NeedsMask { .. } => new(Code::NotSupported).pointer("/method"),
         DeformError::NoMetric { .. } => new(Code::NotSupported).pointer("/metric"),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange)
             .pointer("/alpha")

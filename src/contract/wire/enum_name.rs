@@ -99,9 +99,6 @@ impl RequestedMethod {
     }
 }
 
-/// Methods that the contract has and this version does not.
-const LATER_METHODS: [&str; 1] = ["arap"];
-
 impl EnumName for Method {
     const ALL: &'static [Self] = &{
         let mut all = [METHODS[0].method; METHODS.len()];
@@ -112,7 +109,7 @@ impl EnumName for Method {
         }
         all
     };
-    const UNSUPPORTED: &'static [&'static str] = &LATER_METHODS;
+    const UNSUPPORTED: &'static [&'static str] = &[];
 
     fn as_str(self) -> &'static str {
         self.info().name
@@ -129,7 +126,7 @@ impl EnumName for RequestedMethod {
         }
         all
     };
-    const UNSUPPORTED: &'static [&'static str] = &LATER_METHODS;
+    const UNSUPPORTED: &'static [&'static str] = &[];
 
     fn as_str(self) -> &'static str {
         self.method().map_or("auto", Method::as_str)

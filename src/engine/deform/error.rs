@@ -127,6 +127,25 @@ pub enum DeformError {
         /// The estimate, operations.
         operations: u64,
     },
+    /// A mesh of the mask would have too many vertices.
+    TooManyVertices {
+        /// The limit.
+        limit: usize,
+    },
+    /// A mesh of the mask would take too much.
+    MeshTooLarge {
+        /// What: `arap_positions`, `arap_bytes` or `arap_operations`.
+        what: &'static str,
+        /// The limit.
+        limit: u64,
+        /// The amount.
+        actual: u64,
+    },
+    /// A method whose map is known only on the mesh of a mask.
+    NeedsMask {
+        /// Name of the method.
+        method: &'static str,
+    },
     /// A method that does not weigh handles by their distance.
     NoMetric {
         /// Name of the method.
@@ -163,6 +182,14 @@ pub enum DeformError {
 /// A parameter that breaks its rule.
 fn outside(f: &mut fmt::Formatter<'_>, name: &str, value: f64, rule: &str) -> fmt::Result {
     write!(f, "`{name}` is {}; it must {rule}", DisplayNumber(value))
+}
+
+const fn alpha_rule(has_lines: bool) -> &'static str {
+    if has_lines {
+        "be between 0.5 and 8 if a handle is a line"
+    } else {
+        "be above 0 and at most 8"
+    }
 }
 
 impl NotTaken {
@@ -281,19 +308,17 @@ impl fmt::Display for DeformError {
             | Self::OutsideMask { .. }
             | Self::MaskTooLarge { .. }
             | Self::MaskTooWinding { .. }
-            | Self::NoMetric { .. } => self.write_about_mask(f),
+            | Self::NoMetric { .. }
+            | Self::TooManyVertices { .. }
+            | Self::MeshTooLarge { .. }
+            | Self::NeedsMask { .. } => self.write_about_mask(f),
             Self::NotTaken {
                 handle,
                 method,
                 reason,
             } => reason.write(f, *handle, method),
             Self::AlphaOutOfRange { alpha, lines } => {
-                let rule = if *lines {
-                    "be between 0.5 and 8 if a handle is a line"
-                } else {
-                    "be above 0 and at most 8"
-                };
-                outside(f, "alpha", *alpha, rule)
+                outside(f, "alpha", *alpha, alpha_rule(*lines))
             }
         }
     }
@@ -326,6 +351,49 @@ impl DeformError {
                 f,
                 "the method `{method}` has no metric; `geodesic` needs `rigid`, `similarity` or \
                     `affine`"
+            ),
+            _ => self.write_about_mesh(f),
+        }
+    }
+
+    /// The sentences about the mesh of a mask.
+    fn write_about_mesh(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooManyVertices { limit } => write!(
+                f,
+                "the mesh of what the image shows would have more than {limit} vertices; send a \
+                    larger `arap.cell`"
+            ),
+            Self::MeshTooLarge {
+                what,
+                limit,
+                actual,
+            } => {
+                let (amount, advice) = match *what {
+                    "arap_positions" => (
+                        "hold {} positions, which lines have at each cell",
+                        "fewer or shorter handles, or a larger `arap.cell`",
+                    ),
+                    "arap_bytes" => (
+                        "take {} bytes, because many pieces lie in its cells",
+                        "a smaller `arap.cell`, or an image of fewer pieces",
+                    ),
+                    _ => (
+                        "take {} operations",
+                        "fewer handles, or a larger `arap.cell`",
+                    ),
+                };
+                let amount = amount.replace("{}", &actual.to_string());
+                write!(
+                    f,
+                    "the mesh of what the image shows would {amount}; the limit is {limit}; send \
+                        {advice}"
+                )
+            }
+            Self::NeedsMask { method } => write!(
+                f,
+                "the method `{method}` needs an image, whose outline its mesh follows: send one, \
+                    or use a session; blends do not offer it"
             ),
             _ => Ok(()),
         }

@@ -36,6 +36,8 @@ mod measured;
 #[forbid(unsafe_code)]
 mod members;
 #[forbid(unsafe_code)]
+mod mesh_solver;
+#[forbid(unsafe_code)]
 mod methods;
 #[forbid(unsafe_code)]
 mod overall;
@@ -49,6 +51,8 @@ mod posed_cells;
 mod posed_map;
 #[forbid(unsafe_code)]
 mod rest_deformation;
+#[forbid(unsafe_code)]
+mod rest_mesh;
 #[forbid(unsafe_code)]
 mod samples;
 #[forbid(unsafe_code)]
@@ -71,7 +75,7 @@ pub use methods::mls::falloff::Falloff;
 pub use methods::{AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, MethodSystem};
 pub use overall::{Class, Fitted, PlaneMap, fitted};
 pub use parameters::{Parameter, Parameters};
-pub use point_map::Identity;
+pub use point_map::{Identity, MeshMethod};
 pub use posed_map::PosedMap;
 pub use rest_deformation::RestDeformation;
 pub use subdivide::{SubdividedMesh, Subdivider};

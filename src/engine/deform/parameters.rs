@@ -16,7 +16,7 @@ pub struct Parameter {
     pub most: f64,
     /// What it must do, in an error: "lie between 0 and 1".
     pub rule: &'static str,
-    /// The value if none is given.
+    /// The value if none is given; NaN if it depends on the image.
     pub default: fn(&Handles) -> f64,
     /// What it does, for people.
     pub sentence: &'static str,

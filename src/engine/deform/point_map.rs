@@ -7,9 +7,11 @@ use std::sync::Arc;
 use super::columns::{HandleElements, Rank};
 use super::form::CoefficientForm;
 use super::lanes::{LANES, Vertices};
+use super::mesh_solver::MeshSolver;
 use super::workspace::Workspace;
 use super::{DeformError, Handles, IsCancelled, Parameters, Warning};
 use crate::geometry::Vec2;
+use crate::topology::Mask;
 
 /// Handles at rest as a map sees them, coincident points as one.
 #[derive(Clone, Debug)]
@@ -42,6 +44,39 @@ pub(super) struct BuiltMap {
 
 /// How a method makes its map.
 pub(super) type MakeMap = fn(&MapInput<'_>) -> Result<BuiltMap, DeformError>;
+
+/// What a method makes its mesh from.
+pub(super) struct MeshInput<'a> {
+    pub(super) set: &'a RestSet,
+    /// Those that are given; others follow from the mask.
+    pub(super) parameters: &'a Parameters,
+    pub(super) mask: &'a Arc<Mask>,
+    /// The client's handle of a column.
+    pub(super) handle_of: &'a dyn Fn(usize) -> usize,
+    /// Most operations.
+    pub(super) most_operations: u64,
+    pub(super) cancelled: IsCancelled<'a>,
+}
+
+/// The mesh of a set, ready to be posed.
+pub(super) struct BuiltMesh {
+    pub(super) map: Arc<dyn PointMap>,
+    /// Effective values.
+    pub(super) parameters: Parameters,
+    pub(super) warnings: Vec<Warning>,
+}
+
+/// A method that has a mesh of its own.
+#[derive(Debug)]
+pub struct MeshMethod {
+    /// The side of its cells, px, a whole number.
+    pub(crate) cell: fn(&Parameters, &Mask) -> f64,
+    /// Memory for the mesh of a mask and this number of positions that are held, bytes; `None` when
+    /// cancelled.
+    pub(crate) bytes: fn(&Parameters, &Mask, u64, IsCancelled<'_>) -> Option<u64>,
+    /// How it makes its mesh.
+    pub(super) make: fn(&MeshInput<'_>) -> Result<BuiltMesh, DeformError>,
+}
 
 /// What caches and digests know a map by, beside the handles. No two methods may have the same.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,6 +154,11 @@ pub(super) trait PointMap:
     /// How the coefficients are laid out for clients that pose by themselves.
     fn layout(&self, form: CoefficientForm) -> u32 {
         form as u32
+    }
+
+    /// Its mesh, if it is known on a mesh of its own only.
+    fn mesh(&self) -> Option<&dyn MeshSolver> {
+        None
     }
 
     /// Why there is no table of coefficients, if there is none.

@@ -13,7 +13,9 @@ use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::lanes::{Coefficients, Vertices};
 use super::methods::mls::geodesic::GeodesicLeastSquares;
-use super::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
+use super::point_map::{
+    BuiltMap, BuiltMesh, CoefficientsOf, Identity, MapInput, PointMap, RestSet,
+};
 use super::workspace::Workspace;
 use super::{
     ConflictingHandles, DeformError, Falloff, Handle, IsCancelled, Method, NotTaken, Parameters,
@@ -261,6 +263,9 @@ impl RestDeformation {
         limits: (u64, u64),
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
+        if let Some(method) = &self.method.info().mesh {
+            return self.on_mesh(method, mask, limits.1, cancelled);
+        }
         let wanted = match self.method {
             Method::Rigid => CoefficientForm::Rigid,
             Method::Similarity => CoefficientForm::Complex,
@@ -307,6 +312,28 @@ impl RestDeformation {
             warnings,
             ..self
         })
+    }
+
+    /// The same handles with the map of a mesh, on which each part has its own rank.
+    pub(super) fn with_mesh(self, built: BuiltMesh) -> Self {
+        let rank = match self.set.rank {
+            Rank::Empty => Rank::Empty,
+            Rank::OnePlace | Rank::Collinear | Rank::Full => Rank::Full,
+        };
+        Self {
+            map: built.map,
+            parameters: built.parameters,
+            set: RestSet { rank, ..self.set },
+            warnings: built.warnings,
+            ..self
+        }
+    }
+
+    /// The client's handle of a column; the first one of a group.
+    pub(super) fn owner_of(&self, column: usize) -> usize {
+        let is_after = |element: &Element| element.column() <= column;
+        let after = self.elements.partition_point(is_after);
+        self.owners[after.saturating_sub(1)]
     }
 
     /// The handles at rest; coincident points are one handle.

@@ -14,6 +14,9 @@ pub struct CutCell {
     pub vertices: [u32; 4],
     /// Which set of texels it draws; `None`: all of its cell.
     pub texels: Option<u32>,
+    /// Whether it belongs to nothing: it is drawn before all others, so that dust, which no handle
+    /// moves, never covers what is moved onto it.
+    pub is_loose: bool,
 }
 
 /// The quads of a cut grid at rest, in the order in which they are drawn.

@@ -276,7 +276,7 @@ impl CutLattice {
                 return None;
             }
             set.fill(0);
-            let mut is_whole = true;
+            let (mut is_whole, mut is_loose) = (true, false);
             let [x0, y0] = quad.cell.map(|cell| cell as usize * side);
             let rows = if mask.is_whole(x0, y0, side) { 0 } else { side };
             for y in 0..rows {
@@ -288,6 +288,7 @@ impl CutLattice {
                     if self.draws(mask, k, px, py) {
                         let bit = y * side + x;
                         set[bit / 64] |= 1 << (bit % 64);
+                        is_loose |= mask.is_visible(px, py) && mask.root(px, py).is_none();
                     } else {
                         is_whole = false;
                     }
@@ -301,6 +302,7 @@ impl CutLattice {
                 cell: quad.cell,
                 vertices: quad.vertices,
                 texels,
+                is_loose,
             });
         }
         let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);

@@ -69,6 +69,9 @@ impl CoefficientRequest {
         rows: u32,
         limits: &Limits,
     ) -> Result<Self, WarpError> {
+        if let Some(reason) = CoefficientTable::reason_against(setup.field()) {
+            return Err(WarpError::NoTable { reason });
+        }
         check_uncut(setup.cut.as_ref(), "a table of coefficients for clients")?;
         let (width, height, _) = setup.on();
         let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
@@ -77,9 +80,6 @@ impl CoefficientRequest {
             grid,
             rest: setup.rest_digest(),
         };
-        if let Some(reason) = CoefficientTable::reason_against(&table.field) {
-            return Err(WarpError::NoTable { reason });
-        }
         at_most("plan_bytes", limits.plan_bytes, table.bytes())?;
         Ok(table)
     }

@@ -3,10 +3,12 @@
 
 use std::sync::Arc;
 
+use super::rest_parameters::to_px;
 use super::spec::{at_most, system_bytes};
-use super::{GridSpec, Limits, Metric, RestSpec, Task, WarpError, work};
+use super::{GridSpec, Limits, Metric, RestSpec, Task, Units, WarpError, work};
 use crate::deform::{
-    CoefficientTable, DeformError, IsCancelled, Pose, PoseQuality, RestDeformation,
+    CoefficientTable, DeformError, Handle, IsCancelled, MeshMethod, Pose, PoseQuality,
+    RestDeformation,
 };
 use crate::geometry::{CutCells, CutMesh, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -29,14 +31,22 @@ pub(super) struct CutRest {
 }
 
 impl CutRest {
-    /// Cells have `side` px, a whole number. Also returns the bytes of the table of coefficients.
+    /// Cells have `side` px, a whole number. Also returns the bytes of the table of coefficients; a
+    /// mesh of the method itself has none.
     pub(super) fn new(
         field: &RestDeformation,
         mask: &Mask,
         side: f64,
         limits: &Limits,
         cancelled: IsCancelled<'_>,
-    ) -> Result<(Self, u64), WarpError> {
+    ) -> Result<(Self, Option<u64>), WarpError> {
+        if let Some(cells) = field.mesh_cells() {
+            let mesh = Self {
+                cells: Arc::clone(cells),
+                vertices: Vec::new(),
+            };
+            return Ok((mesh, None));
+        }
         let most = limits.plan_bytes / CutLattice::bytes_for(1);
         let most_quads = usize::try_from(most).unwrap_or(usize::MAX);
         let lattice = CutLattice::new(mask, whole(side), most_quads, cancelled);
@@ -72,7 +82,7 @@ impl CutRest {
             cells: Arc::new(cells),
             vertices,
         };
-        Ok((cut, bytes))
+        Ok((cut, Some(bytes)))
     }
 
     /// Bytes of the quads of a mask with cells of a grid, with what their construction needs, up to
@@ -102,10 +112,14 @@ impl CutRest {
     /// The posed mesh; `None` when cancelled.
     pub(super) fn pose(
         &self,
-        table: &CoefficientTable,
+        field: &RestDeformation,
+        table: Option<&CoefficientTable>,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<(Mesh, PoseQuality)> {
+        let Some(table) = table else {
+            return field.pose_mesh(pose, cancelled);
+        };
         let (moved, quality) = table.displace_unless(pose, cancelled)?;
         let cut = CutMesh::new(Arc::clone(&self.cells), moved);
         Some((Mesh::cut(cut), quality))
@@ -114,7 +128,7 @@ impl CutRest {
     /// Memory of a posed mesh until it is drawn, bytes.
     pub(super) fn posed_bytes(&self) -> u64 {
         // Displacements and corners of vertices, and the corners of quads.
-        32 * self.vertices.len() as u64 + 160 * self.cells.cells().len() as u64
+        32 * self.cells.len() as u64 + 160 * self.cells.cells().len() as u64
     }
 }
 
@@ -127,12 +141,18 @@ impl RestSpec {
         let handles = self.p.len() as u64;
         let system = system_bytes(self.method, handles);
         let mask = self.mask.as_ref().map(|rest| &rest.mask);
-        let Some(mask) = mask.filter(|mask| self.needs_mask() && !mask.is_everything()) else {
+        let Some(mask) = mask.filter(|mask| self.needs_mask() && !is_plane(self, mask)) else {
             return Some(FieldBytes {
                 peak: system,
                 kept: system,
             });
         };
+        if let Some(method) = &self.method.info().mesh {
+            let held = held_positions(self, mask, (method.cell)(&self.own, mask));
+            let mesh = (method.bytes)(&self.own, mask, held, cancelled)?;
+            let kept = system + mask.bytes() + mesh;
+            return Some(FieldBytes { peak: kept, kept });
+        }
         let nodes = Nodes::count(mask, Nodes::stride_of(mask), cancelled)?;
         let columns: u64 = self.p.iter().map(|handle| handle.columns() as u64).sum();
         // More is refused.
@@ -141,7 +161,7 @@ impl RestSpec {
             nodes.saturating_mul(of_node).min(limits.plan_bytes)
         };
         // A grid that is wrong is refused before it is cut.
-        let grid = resolve_grid(self.grid, mask, limits).ok();
+        let grid = resolve_grid(self, mask, limits).ok();
         let cut = match grid.map(|grid| grid.cell().0) {
             Some(side) => CutRest::bytes_for(mask, side, limits.plan_bytes, cancelled)?,
             None => 0,
@@ -176,11 +196,11 @@ pub(super) fn check_uncut(cut: Option<&Arc<CutRest>>, what: &'static str) -> Res
 ///
 /// Errors: No image, a method without a metric.
 pub(super) fn mask_of(rest: &RestSpec, extent: Extent) -> Result<Option<Arc<Mask>>, WarpError> {
-    if rest.metric == Metric::Euclidean {
+    if !rest.needs_mask() {
         return Ok(None);
     }
     let method = rest.method.info();
-    if method.parameter("alpha").is_none() {
+    if rest.metric == Metric::Geodesic && method.parameter("alpha").is_none() {
         let method = method.name;
         return Err(WarpError::Rest(DeformError::NoMetric { method }));
     }
@@ -188,17 +208,68 @@ pub(super) fn mask_of(rest: &RestSpec, extent: Extent) -> Result<Option<Arc<Mask
     let mask = rest.mask.as_ref().map(|rest| &rest.mask);
     let mask = mask
         .filter(|mask| mask.size() == size)
-        .ok_or(WarpError::NoImage)?;
-    Ok((!mask.is_everything()).then(|| Arc::clone(mask)))
+        .ok_or_else(|| match method.mesh {
+            Some(_) => {
+                let method = method.name;
+                WarpError::Rest(DeformError::NeedsMask { method })
+            }
+            None => WarpError::NoImage,
+        })?;
+    Ok((!is_plane(rest, mask)).then(|| Arc::clone(mask)))
+}
+
+/// Whether what follows the mask is the same in the plane.
+fn is_plane(rest: &RestSpec, mask: &Mask) -> bool {
+    mask.is_everything() && rest.method.info().mesh.is_none()
+}
+
+/// Positions that handles hold of a mesh with cells of this side: lines one in each.
+fn held_positions(rest: &RestSpec, mask: &Mask, side: f64) -> u64 {
+    let (width, height) = mask.size();
+    let unit = match rest.units {
+        Units::Px => (1.0, 1.0),
+        Units::Normalized => (width as f64, height as f64),
+    };
+    let of_segment = |ends: &[Point]| (ends[0].distance(ends[1]) / side).ceil() + 1.0;
+    let of = |handle: &Handle| match handle {
+        Handle::Point(_) => 1.0,
+        Handle::Polyline(places) => places.windows(2).map(of_segment).sum(),
+        Handle::Missing => 0.0,
+    };
+    let held: f64 = to_px(&rest.p, unit).iter().map(of).sum();
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to integer saturates"
+    )]
+    let held = held as u64;
+    held
+}
+
+/// The grid whose cells a method's mesh has.
+fn resolve_mesh_grid(rest: &RestSpec, method: &MeshMethod, mask: &Mask) -> Result<Grid, WarpError> {
+    if rest.grid.tolerance().is_none() {
+        let name = rest.method.info().name;
+        return Err(WarpError::BadGrid(format!(
+            "the method `{name}` draws its own mesh, which is exact: leave `grid` out, or send \
+                `auto`; `{name}.cell` is the side of its cells"
+        )));
+    }
+    let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
+    let cell = (method.cell)(&rest.own, mask);
+    Ok(Grid::with_cell(width, height, cell))
 }
 
 /// A grid whose cells have a whole number of pixels.
 pub(super) fn resolve_grid(
-    spec: GridSpec,
+    rest: &RestSpec,
     mask: &Mask,
     limits: &Limits,
 ) -> Result<Grid, WarpError> {
-    let side = match spec {
+    if let Some(method) = &rest.method.info().mesh {
+        return resolve_mesh_grid(rest, method, mask);
+    }
+    let side = match rest.grid {
         GridSpec::Auto => {
             let (all, mut side) = (mask.size().0 * mask.size().1, LEAST_CELL);
             let is_coarse = |side: u32| {

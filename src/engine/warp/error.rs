@@ -78,6 +78,8 @@ pub enum WarpError {
     UnusedMask,
     /// A metric or method that follows the shape of what an image shows, without an image.
     NoImage,
+    /// An image that is continued beyond its border, by a grid that is cut along a mask.
+    CutBorder,
     /// A grid that is cut along a mask, where all cells of a grid are needed.
     CutGrid {
         /// What needs them.
@@ -156,12 +158,16 @@ impl fmt::Display for WarpError {
                 f,
                 "methods are compared on at least {least} distinct points; found {actual}"
             ),
-            Self::UnusedMask => {
-                f.write_str("`mask` does not apply: it belongs to the metric `geodesic`")
-            }
+            Self::UnusedMask => f.write_str(
+                "`mask` does not apply: it belongs to the metric `geodesic` and the method `arap`",
+            ),
             Self::NoImage => {
                 f.write_str("the metric `geodesic` needs an image: send one, or use a session")
             }
+            Self::CutBorder => f.write_str(
+                "`outside` cannot continue an image beyond its outline, which the metric \
+                    `geodesic` and the method `arap` follow; use `transparent` or a colour",
+            ),
             Self::CutGrid { what } => write!(
                 f,
                 "{what} is not supported with the metric `geodesic`; use `euclidean` for it"

@@ -152,8 +152,7 @@ impl PosedMesh {
     pub fn check_outside(&self, outside: Outside) -> Result<(), WarpError> {
         let continues = matches!(outside, Outside::Edge | Outside::Reflect);
         if continues && self.mesh.cut_mesh().is_some() {
-            let what = "`outside` that continues the image";
-            return Err(WarpError::CutGrid { what });
+            return Err(WarpError::CutBorder);
         }
         Ok(())
     }

@@ -134,14 +134,11 @@ impl ResolvedRest {
         let mask = cut_rest::mask_of(rest, extent)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
         let grid = match &mask {
-            Some(mask) => cut_rest::resolve_grid(rest.grid, mask, limits)?,
+            Some(mask) => cut_rest::resolve_grid(rest, mask, limits)?,
             None => resolve_grid(rest.grid, width, height, limits)?,
         };
-        let handles = Handles::new(
-            to_px(&rest.p, unit(rest.units, &grid)),
-            rest.weights.clone(),
-        )
-        .map_err(WarpError::Rest)?;
+        let p = to_px(&rest.p, unit(rest.units, &grid));
+        let handles = Handles::new(p, rest.weights.clone()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         if let Some(system) = rest.method.info().system.as_ref().filter(|_| is_solved) {
             work::at_most(
@@ -191,7 +188,7 @@ impl ResolvedRest {
         let (cut, bytes) = CutRest::new(&self.field, mask, self.grid.cell().0, limits, cancelled)?;
         Ok(Self {
             tolerance: None,
-            table_bytes: Some(bytes),
+            table_bytes: bytes,
             exact_bytes: 0,
             cut: Some(Arc::new(cut)),
             ..self
@@ -221,7 +218,6 @@ impl ResolvedRest {
         let rows_pay =
             tolerance.is_some() && deform::CoefficientTable::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
-        let max_work = limits.work;
         Self {
             field,
             grid,
@@ -234,7 +230,7 @@ impl ResolvedRest {
             plan_key,
             table_bytes,
             exact_bytes,
-            max_work,
+            max_work: limits.work,
         }
     }
 
@@ -558,9 +554,9 @@ impl ResolvedRest {
         cancelled: IsCancelled<'_>,
     ) -> Result<(Mesh, PoseQuality), WarpError> {
         let posed = match (&plan.table, &self.cut) {
-            (Some(table), Some(cut)) => cut.pose(table, pose, cancelled),
+            (table, Some(cut)) => cut.pose(&self.field, table.as_ref(), pose, cancelled),
             (Some(table), None) => table.pose_unless(&self.grid, pose, cancelled),
-            (None, _) => pose_without_table(&self.field, &self.grid, pose, cancelled),
+            (None, None) => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
     }

@@ -47,7 +47,8 @@ pub(super) fn field(
     is_solved: bool,
     cancelled: IsCancelled<'_>,
 ) -> Result<RestDeformation, DeformError> {
-    let make = if is_solved {
+    // A method with a mesh of its own is solved when the mask is known.
+    let make = if is_solved && rest.method.info().mesh.is_none() {
         RestDeformation::of
     } else {
         RestDeformation::without_system

@@ -202,7 +202,7 @@ impl RestSpec {
     /// Whether there must be a mask.
     #[must_use]
     pub fn needs_mask(&self) -> bool {
-        self.metric == Metric::Geodesic
+        self.metric == Metric::Geodesic || self.method.info().mesh.is_some()
     }
 }
 

@@ -80,16 +80,8 @@ fn handles_out_of_the_mathematics_range_are_left_to_it() {
 #[test]
 fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     use Code::NotSupported as S;
-    let table: &[Expected] = &[
-        ("{\"method\": \"arap\"}", S, Some("/method"), None),
-        ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
-    ];
+    let table: &[Expected] = &[("{\"folds\": \"remove\"}", S, Some("/folds"), None)];
     check(WarpObject::parse, table);
-    assert_eq!(
-        detail("{\"method\": \"arap\"}"),
-        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, \
-            `tps`, `global_affine`, `beier_neely`, `auto`"
-    );
 }
 
 #[test]

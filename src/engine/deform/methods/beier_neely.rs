@@ -77,6 +77,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     candidates: &[],
     candidate_order: 5,
     system: None,
+    mesh: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };

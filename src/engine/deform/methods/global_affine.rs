@@ -35,6 +35,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     candidates: &[&[]],
     candidate_order: 4,
     system: None,
+    mesh: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };

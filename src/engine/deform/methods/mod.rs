@@ -2,12 +2,13 @@
 //! else must know of a method; nobody else asks which one it is. CONTRIBUTING.md says how to add
 //! one.
 
+pub(super) mod arap;
 pub(super) mod beier_neely;
 pub(super) mod global_affine;
 pub(super) mod mls;
 pub(super) mod thin_plate_spline;
 
-use super::point_map::MakeMap;
+use super::point_map::{MakeMap, MeshMethod};
 use super::{DeformError, Handle, Handles, NotTaken, Parameter, Parameters};
 
 /// How the image follows the handles.
@@ -26,16 +27,19 @@ pub enum Method {
     GlobalAffine,
     /// Field morphing by lines; lines only.
     BeierNeely,
+    /// As rigid as possible, on a mesh of the image's outline.
+    AsRigidAsPossible,
 }
 
 /// All methods, in the order of [`Method`].
-pub static METHODS: [&MethodInfo; 6] = [
+pub static METHODS: [&MethodInfo; 7] = [
     &mls::RIGID,
     &mls::SIMILARITY,
     &mls::AFFINE,
     &thin_plate_spline::INFO,
     &global_affine::INFO,
     &beier_neely::INFO,
+    &arap::INFO,
 ];
 
 /// The handles that a method takes.
@@ -104,6 +108,8 @@ pub struct MethodInfo {
     pub candidate_order: u8,
     /// Its linear system, if it has one.
     pub system: Option<MethodSystem>,
+    /// Its mesh, if it is known on a mesh of what the image shows only.
+    pub mesh: Option<MeshMethod>,
     /// The values of its parameters for handles.
     pub(super) resolve: fn(&Handles, &Parameters) -> Result<Parameters, DeformError>,
     /// Its map.

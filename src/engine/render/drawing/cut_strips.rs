@@ -67,7 +67,11 @@ impl Drawing {
             uncovered: &mut all,
             open: every_row,
         };
-        let meeting = cut.quads.iter().rev().filter(|quad| quad.meets(strip));
+        let meeting = |is_loose: bool| {
+            let quads = cut.quads.iter().rev();
+            quads.filter(move |quad| quad.cell.is_loose == is_loose && quad.meets(strip))
+        };
+        let meeting = meeting(false).chain(meeting(true));
         for (k, quad) in meeting.enumerate() {
             if k % QUADS_PER_LOOK == 0 {
                 raster.shrink();

@@ -14,6 +14,7 @@ fn whole(mesh: &Mesh, side: u32) -> Mesh {
                 cell: [i, j],
                 vertices: [at, at + 1, at + columns + 1, at + columns],
                 texels: None,
+                is_loose: false,
             }
         })
     });
@@ -64,6 +65,7 @@ fn halves(right: [f32; 2]) -> Mesh {
         cell: [0, 0],
         vertices: [first, first + 1, first + 2, first + 3],
         texels: Some(texels),
+        is_loose: false,
     };
     let corners = [[0, 0], [1, 0], [1, 1], [0, 1]];
     let cut = CutCells::new(
@@ -109,6 +111,18 @@ fn a_quad_draws_its_own_texels_only() {
     let out = banded(&Renderer::new(source.clone(), &mesh, options), 8);
     let first: Vec<u8> = out.chunks_exact(4).take(4).map(|pixel| pixel[0]).collect();
     assert_eq!(first, [4, 5, 6, 7]);
+    // What belongs to nothing is below.
+    let mut cut = halves([-4.0, 0.0]).cut_mesh().unwrap().clone();
+    let [left, mut right] = [0, 1].map(|k| cut.cells().cells()[k]);
+    right.is_loose = true;
+    let corners = [[0, 0], [1, 0], [1, 1], [0, 1]];
+    let texels = [0x0f, 0xf0].map(|row: u64| (0..8).fold(0, |set, y| set | row << (8 * y)));
+    let (grid, vertices) = (*mesh.grid(), [corners, corners].concat());
+    let loose = CutCells::new(grid, 8, vec![left, right], vertices, texels.to_vec());
+    cut = CutMesh::new(Arc::new(loose), cut.displacement().to_vec());
+    let out = banded(&Renderer::new(source.clone(), &Mesh::cut(cut), options), 8);
+    let first: Vec<u8> = out.chunks_exact(4).take(4).map(|pixel| pixel[0]).collect();
+    assert_eq!(first, [0, 1, 2, 3]);
     assert!(halves([0.0; 2]).is_identity());
 }
 

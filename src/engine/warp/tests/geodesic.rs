@@ -14,18 +14,18 @@ use crate::geometry::Point;
 use crate::pixmap::Extent;
 use crate::topology::{Mask, Membership};
 
-fn point(value: &Value) -> Point {
+pub(super) fn point(value: &Value) -> Point {
     Point::new(value[0].as_f64().unwrap(), value[1].as_f64().unwrap())
 }
 
-fn handles(value: &Value, side: &str) -> Vec<Handle> {
+pub(super) fn handles(value: &Value, side: &str) -> Vec<Handle> {
     let points = value["points"].as_array().unwrap().iter();
     points
         .map(|handle| Handle::Point(point(&handle[side])))
         .collect()
 }
 
-fn mask(rows: &[&str]) -> RestMask {
+pub(super) fn mask(rows: &[&str]) -> RestMask {
     let [width, height] = [rows[0].len(), rows.len()].map(|side| u32::try_from(side).unwrap());
     let row = |y: u32, row: &mut [Membership]| {
         for (membership, pixel) in row.iter_mut().zip(rows[y as usize].bytes()) {
@@ -42,7 +42,7 @@ fn mask(rows: &[&str]) -> RestMask {
     }
 }
 
-fn extent(mask: &RestMask) -> Extent {
+pub(super) fn extent(mask: &RestMask) -> Extent {
     let (width, height) = mask.mask.size();
     let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap());
     Extent::new(width, height).unwrap()
@@ -112,7 +112,7 @@ fn f_is_that_of_the_reference_cases() {
 }
 
 /// Two legs, which join above.
-const LEGS: [&str; 12] = [
+pub(super) const LEGS: [&str; 12] = [
     "111111111111111111111111",
     "111111111111111111111111",
     "111111111111111111111111",
@@ -127,7 +127,7 @@ const LEGS: [&str; 12] = [
     "111111111110011111111111",
 ];
 
-fn points(places: &[(f64, f64)]) -> Vec<Handle> {
+pub(super) fn points(places: &[(f64, f64)]) -> Vec<Handle> {
     places
         .iter()
         .map(|(x, y)| Handle::Point(Point::new(*x, *y)))
@@ -353,7 +353,7 @@ fn lines_act_inside_a_mask_as_points_do() {
 }
 
 /// A hind and a front hoof are pinned each, and one front hoof is dragged.
-const HORSE: [(f64, f64); 11] = [
+pub(super) const HORSE: [(f64, f64); 11] = [
     (122.0, 606.0),
     (248.0, 600.0),
     (512.0, 604.0),

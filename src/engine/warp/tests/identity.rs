@@ -36,6 +36,15 @@ fn of_set(name: &str) -> Vec<Handle> {
     }
 }
 
+/// A mask of the whole image.
+fn everything() -> RestMask {
+    let row = |_, row: &mut [Membership]| row.fill(Membership::Inside);
+    RestMask {
+        mask: Arc::new(Mask::new(120, 90, row, &|| false).unwrap()),
+        digest: Digest::of(b"everything"),
+    }
+}
+
 fn digests(rest: &RestSpec) -> [String; 2] {
     let extent = Extent::new(120, 90).unwrap();
     let setup = ResolvedRest::new(rest, extent, &Limits::default()).unwrap();
@@ -216,6 +225,7 @@ fn no_two_methods_share_a_key_or_a_digest() {
             digests(&RestSpec {
                 p: of_set(name),
                 method: info.method,
+                mask: info.mesh.is_some().then(everything),
                 ..RestSpec::default()
             })
         };

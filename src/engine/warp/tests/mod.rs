@@ -7,6 +7,7 @@
 )]
 
 mod alignment;
+mod arap;
 mod drawn;
 mod geodesic;
 mod identity;

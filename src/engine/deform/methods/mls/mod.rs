@@ -88,6 +88,7 @@ const fn info(method: Method, name: &'static str, title: &'static str) -> Method
         candidates: &CANDIDATES,
         candidate_order: 0,
         system: None,
+        mesh: None,
         resolve,
         map: |_| Err(DeformError::Cancelled),
     }

@@ -71,6 +71,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
         // A factorisation, and a substitution for each point.
         operations_of_comparison: |points| operations(points).saturating_mul(4),
     }),
+    mesh: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };
