@@ -243,7 +243,7 @@ impl Conflicts {
 
 /// The report of a group.
 fn conflict(position: Point, mut members: Vec<Member>, within: f64) -> Conflict {
-    members.sort_unstable_by_key(|member| member.element);
+    members.sort_by_key(|member| member.element);
     members.dedup_by_key(|member| member.element);
     // Neighbouring segments of a polyline share a position and its target.
     members.sort_by_key(|member| member.handle);
