@@ -80,8 +80,8 @@ impl Vec2 {
         lane_math::hypot(self.x, self.y)
     }
 
-    /// The unit vector at half of this one's angle, which lies in [-pi, pi]: the axis of the moments
-    /// `(xx - yy, 2 xy)`. Of zero, `(1, 0)`.
+    /// The unit vector at half of this one's angle, which lies in [-pi, pi]: the axis of the
+    /// moments `(xx - yy, 2 xy)`. Of zero, `(1, 0)`.
     pub(crate) fn half_angle(self) -> Self {
         let length = self.norm();
         if length == 0.0 {
