@@ -122,6 +122,11 @@ describe("the examples", () => {
     await where.getByRole("button", { name: "Put back" }).click();
     await ready(where);
     assert.deepEqual(await where.evaluate(() => document.querySelector("mls-warp").q), P);
+    // Without a server: Vite has taken the worker and the WebAssembly file along.
+    const alone = await visit(browser, host.address);
+    const moved = await dragged(alone);
+    assert.ok(moved[2][0] > P[2][0] + 10);
+    assert.deepEqual(alone.errors, []);
     assert.deepEqual(where.errors, []);
     host.close();
     await server.stop();

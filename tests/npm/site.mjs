@@ -21,7 +21,11 @@ const MEDIA = {
 export async function site(pages = {}, folders = {}) {
   // Browsers ask for an icon.
   pages["/favicon.ico"] ??= "";
-  const roots = { "/npm/": `${ROOT}api/npm/`, "/images/": `${ROOT}tests/images/`, ...folders };
+  const roots = {
+    ...folders,
+    "/npm/": `${ROOT}api/npm/`,
+    "/images/": `${ROOT}tests/images/`,
+  };
   const headers = {};
   const server = createServer((request, response) => {
     const { pathname } = new URL(request.url, "http://localhost");

@@ -17,7 +17,8 @@ const p: Handle[] = [
   [316, 136],
   [262, 240],
 ];
-const server = new URLSearchParams(location.search).get("server") ?? "http://127.0.0.1:8080";
+// Without a server, the browser warps.
+const server = new URLSearchParams(location.search).get("server") ?? "";
 
 function Editor() {
   const [q, setQ] = useState(p);

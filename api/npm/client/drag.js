@@ -403,6 +403,7 @@ export class Drag extends EventTarget {
     const sent = this.#unanswered.get(seq);
     if (sent !== undefined) this.#quickest = Math.min(this.#quickest, performance.now() - sent);
     for (const old of this.#unanswered.keys()) if (old <= seq) this.#unanswered.delete(old);
+    if (this.#unanswered.size) this.#overdue = setTimeout(() => this.#giveUp(), PATIENCE);
   }
 
   /** @param {any} message */

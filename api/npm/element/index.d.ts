@@ -22,13 +22,13 @@ export interface MlsWarpEventMap extends HTMLElementEventMap {
   /** A drag has ended, or handles were added, deleted, nudged, undone. Not for what the site sets. */
   warpchange: CustomEvent<WarpDetail>;
   /**
-   * Something went wrong: an `ApiError` or `ConnectionFailed` of `mlswarp/client`, or an error of
-   * the browser.
+   * Something went wrong: an `ApiError` or `ConnectionFailed` of `mlswarp/client`, an error of
+   * `mlswarp/engine`, or one of the browser.
    */
   warperror: CustomEvent<Error>;
 }
 
-/** `empty` has no picture; `ready` shows the server's picture of the pose. */
+/** `empty` has no picture; `ready` shows the exact picture of the pose. */
 export type WarpState = "empty" | "loading" | "busy" | "ready" | "error";
 
 /** A picture whose handles can be dragged. */
@@ -36,7 +36,7 @@ export class MlsWarp extends HTMLElement {
   static readonly observedAttributes: string[];
   /** The address of the picture: the attribute. */
   src: string;
-  /** The address of the server: the attribute. */
+  /** The address of the server: the attribute. Without one, the engine warps in a worker. */
   server: string;
   /** The id of the session that is used: the attribute. For a token, the one that it is for. */
   session: string;
@@ -70,7 +70,7 @@ export class MlsWarp extends HTMLElement {
   readonly state: WarpState;
   /** The largest distance between a handle and where it is shown, px; null if it is not known. */
   readonly residual: number | null;
-  /** The warped picture as a file, drawn by the server. `quality`: of a JPEG, 0 to 1. */
+  /** The warped picture as a file: the bytes of the server. `quality`: of a JPEG, 0 to 1. */
   toBlob(type?: string, options?: { width?: number; quality?: number }): Promise<Blob>;
   undo(): void;
   redo(): void;

@@ -6,6 +6,7 @@ import { Store } from "../state.js";
 import { atStrength, strengthOf } from "../strength.js";
 import page from "../stage.css";
 import own from "./element.css";
+import { Local } from "./local.js";
 import { Remote } from "./remote.js";
 import { Stage, fileOf } from "./stage.js";
 import { fits, handlesOf, placesIn, settingsOf } from "./wire.js";
@@ -65,8 +66,8 @@ export class MlsWarp extends Base {
   #shape = { text: "", sheet: /** @type {CSSStyleSheet | null} */ (null) };
   /** @type {Stage | null} */
   #stage = null;
-  /** @type {Remote | null} */
-  #remote = null;
+  /** What warps: a server, or the engine here. @type {import("./follower.js").Follower | null} */
+  #warper = null;
   /** @type {GivenImage} */
   #image = null;
   /** @type {Client | null} */
@@ -127,9 +128,9 @@ export class MlsWarp extends Base {
 
   #release() {
     this.#loading?.abort();
-    this.#remote?.release();
+    this.#warper?.release();
     this.#stage?.release();
-    this.#remote = this.#stage = null;
+    this.#warper = this.#stage = null;
     this.#isReady = false;
     this.#root.replaceChildren();
     this.#renew();
@@ -166,30 +167,39 @@ export class MlsWarp extends Base {
     }
   }
 
+  /**
+   * @param {string} name
+   * @param {string | null | undefined} value
+   */
+  #reflect(name, value) {
+    if (value === null || value === undefined) this.removeAttribute(name);
+    else this.setAttribute(name, value);
+  }
+
   // Properties
 
   /** The address of the picture: the attribute. */
   get src() {
     return this.getAttribute("src") ?? "";
   }
-  set src(address) {
-    this.setAttribute("src", address);
+  set src(/** @type {string | null | undefined} */ address) {
+    this.#reflect("src", address);
   }
 
   /** The address of the server: the attribute. */
   get server() {
     return this.getAttribute("server") ?? "";
   }
-  set server(address) {
-    this.setAttribute("server", address);
+  set server(/** @type {string | null | undefined} */ address) {
+    this.#reflect("server", address);
   }
 
   /** The id of the session that is used: the attribute. */
   get session() {
     return this.getAttribute("session") ?? "";
   }
-  set session(id) {
-    this.setAttribute("session", id);
+  set session(/** @type {string | null | undefined} */ id) {
+    this.#reflect("session", id);
   }
 
   get readonly() {
@@ -312,28 +322,28 @@ export class MlsWarp extends Base {
   /** `empty`, `loading`, `busy`, `ready` (the server's picture of the pose is shown) or `error`. */
   get state() {
     if (!this.#store.state.picture) return this.#loading ? "loading" : "empty";
-    return this.#remote?.condition ?? "empty";
+    return this.#warper?.condition ?? "empty";
   }
 
   /** The largest distance between a handle and where it is shown, px; null if it is not known. */
   get residual() {
-    return this.#remote?.residual ?? null;
+    return this.#warper?.residual ?? null;
   }
 
   // Methods
 
   /**
-   * The warped picture as a file, from the server.
+   * The warped picture as a file: the server's, or without one, the same bytes of the engine.
    *
    * @param {string} [type] a media type
    * @param {{ width?: number, quality?: number }} [options] `quality`: of a JPEG, 0 to 1
    * @returns {Promise<Blob>}
    */
   async toBlob(type = "image/png", { width, quality } = {}) {
-    if (!this.#remote) throw new DOMException("there is no picture", "InvalidStateError");
+    if (!this.#warper) throw new DOMException("there is no picture", "InvalidStateError");
     const format = type.replace("image/", "");
     const percent = quality === undefined ? {} : { quality: Math.round(100 * quality) };
-    return this.#remote.file({ format, ...(width && { width }), ...percent });
+    return this.#warper.file({ format, ...(width && { width }), ...percent });
   }
 
   undo() {
@@ -435,11 +445,11 @@ export class MlsWarp extends Base {
 
   async #open() {
     this.#loading?.abort();
-    this.#remote?.release();
-    this.#remote = null;
+    this.#warper?.release();
+    this.#warper = null;
     this.#isReady = false;
     if (!this.#stage) {
-      this.#stage = new Stage(this.#root, this.#store, () => this.#remote);
+      this.#stage = new Stage(this.#root, this.#store, () => this.#warper);
       this.#showReadonly();
     }
     const loading = new AbortController();
@@ -510,7 +520,6 @@ export class MlsWarp extends Base {
     const { client } = this;
     const stage = this.#stage;
     if (!stage) return;
-    if (!client) throw new Error("no server: set the attribute `server`, or `client`");
     const told = {
       problem: (/** @type {unknown} */ error) => this.#tell(error),
       shown: () => {
@@ -519,6 +528,9 @@ export class MlsWarp extends Base {
       },
     };
     const id = this.session || undefined;
-    this.#remote = new Remote(client, id, blob, this.#store, stage.view, told, session);
+    const [store, { view }] = [this.#store, stage];
+    this.#warper = client
+      ? new Remote(client, id, blob, store, view, told, session)
+      : new Local(blob, store, view, told);
   }
 }

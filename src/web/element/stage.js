@@ -56,16 +56,13 @@ const HELP =
 /** What is free around the picture, CSS px. */
 const MARGINS = { wide: [12, 12], narrow: [8, 8], from: [480, 320] };
 
-/** What the element warps by: a server. */
-/** @typedef {Pick<import("./remote.js").Remote, "mesh" | "aligned">} Warper */
-
 export class Stage {
   #end = new AbortController();
 
   /**
    * @param {ShadowRoot} root
    * @param {Page.Store} store
-   * @param {() => Warper | null} warper
+   * @param {() => import("./follower.js").Follower | null} warper
    */
   constructor(root, store, warper) {
     const stage = element("div", { id: "stage", part: "stage", tabindex: "0" }, ...layers());
