@@ -844,6 +844,12 @@ export type BlendImage = {
    */
   pairs?: number[];
   p?: HandlesAtRest;
+  /**
+   * One name for each handle of `p`, by which handles are matched and mirrored; a landmark
+   * file has its own.
+   */
+  names?: string[];
+  item?: LandmarkItem;
 };
 
 /**
