@@ -271,6 +271,27 @@ export type Output = {
 };
 
 /**
+ * How the distance of a handle is measured, with which its influence falls off, for `rigid`,
+ * `similarity` and `affine`. `euclidean`: in the plane. `geodesic`: along the shortest path
+ * inside what the image shows (its alpha, times the region if there is one), so that a leg
+ * bends without its neighbour. Handles have no influence on parts that no path from them
+ * reaches: a part without handles stays where it is, one with one handle is moved by it.
+ * `alpha` is 2 unless it is given. If every pixel belongs to the mask, both are the same,
+ * and the warning `mask_is_everything` says so. Without an image (`/points`, `/map`,
+ * `/report`) 422 `not_supported`.
+ */
+export type Metric = "euclidean" | "geodesic";
+
+/**
+ * What belongs to the mask of the metric `geodesic`: pixels whose alpha, times the region if
+ * there is one, is above this share of full alpha. Other visible pixels go with the nearest
+ * of these.
+ */
+export type Mask = {
+  threshold?: number;
+};
+
+/**
  * A warp object. `p` and `q` belong together: without `p` the image is unchanged, and with
  * `p`, `/warp` and `/points` need `q`. Every other field has a default.
  */
@@ -285,6 +306,8 @@ export type WarpObject = {
   point_mass?: PointMass;
   smoothing?: Smoothing;
   beier_neely?: BeierNeely;
+  metric?: Metric;
+  mask?: Mask;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -427,6 +450,8 @@ export type Points = {
   point_mass?: PointMass;
   smoothing?: Smoothing;
   beier_neely?: BeierNeely;
+  metric?: Metric;
+  mask?: Mask;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -491,6 +516,8 @@ export type Report = {
   point_mass?: PointMass;
   smoothing?: Smoothing;
   beier_neely?: BeierNeely;
+  metric?: Metric;
+  mask?: Mask;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -683,6 +710,8 @@ export type Map = {
   point_mass?: PointMass;
   smoothing?: Smoothing;
   beier_neely?: BeierNeely;
+  metric?: Metric;
+  mask?: Mask;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -1134,6 +1163,11 @@ export type Session = {
   smoothing?: Smoothing;
   beier_neely?: BeierNeely;
   /**
+   * Absent if it is `euclidean`.
+   */
+  metric?: "geodesic";
+  mask?: Mask;
+  /**
    * The groups of coincident points, each of which is one handle; absent if no points
    * coincide.
    */
@@ -1211,7 +1245,7 @@ export type Problem = {
   title: string;
   status: number;
   detail: string;
-  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "no_table" | "folded" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
+  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "outside_mask" | "empty_mask" | "no_table" | "folded" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
   /**
    * JSON pointer (RFC 6901) into the JSON of the request: the body, or the part `warp`.
    */
