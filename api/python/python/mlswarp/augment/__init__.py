@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from threading import Lock
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -52,27 +51,25 @@ class RandomWarp:
         self.max_folds: int = int(max_folds)
         self._handles = handles
         self._options = plan
-        self._plans: OrderedDict[tuple[int, int], Plan] = OrderedDict()
-        self._lock = Lock()
+        self._plans: dict[tuple[int, int], Plan] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         kept = ("sigma", "grid", "max_folds", "_handles", "_options")
         return {name: self.__dict__[name] for name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _plans=OrderedDict(), _lock=Lock())
+        self.__dict__.update(state, _plans={})
 
     def plan(self, size: tuple[int, int]) -> Plan:
         """The handles at rest on images of this width and height; the last ones are kept."""
         size = (int(size[0]), int(size[1]))
-        with self._lock:
-            plan = self._plans.pop(size, None)
+        # Without a lock, which a forked worker would inherit closed: two threads may make the same.
+        plan = self._plans.get(size)
         if plan is None:
-            plan = Plan(self._rest(size), size=size, **self._options)
-        with self._lock:
-            self._plans[size] = plan
+            plan = self._plans[size] = Plan(self._rest(size), size=size, **self._options)
             while len(self._plans) > _KEPT_PLANS:
-                self._plans.popitem(last=False)
+                with suppress(KeyError, RuntimeError, StopIteration):
+                    del self._plans[next(iter(self._plans))]
         return plan
 
     def _rest(self, size: tuple[int, int]) -> Handles:

@@ -1,0 +1,204 @@
+#!/usr/bin/env python3
+"""The package for Python beside what people use instead, all in one run.
+
+    tests/bench/python/run            builds the released wheel, and prints the tables
+
+Every row is the median of several rounds, in which the contestants take turns. `ready map`: the
+time without that of computing the map, which the others have to do for each pose.
+"""
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+
+import cv2
+import mlswarp
+import numpy as np
+import skimage.transform
+from PIL import Image
+
+ROUNDS = 7
+CV_THREADS = os.cpu_count() or 1
+
+
+def moving_least_squares(p, q, width, height, alpha=1.0):
+    """Rigid moving least squares for the inverse map, as a plain program of NumPy has it: every
+    pixel, every handle, in float64. `p`, `q`: where the map begins and where it goes."""
+    y, x = np.mgrid[:height, :width]
+    v = np.stack([x + 0.5, y + 0.5], axis=-1).reshape(-1, 1, 2)
+    w = 1 / (((p - v) ** 2).sum(axis=2) ** alpha + 1e-12)
+    total = w.sum(axis=1, keepdims=True)
+    centre_p = (w[:, :, None] * p).sum(axis=1) / total
+    centre_q = (w[:, :, None] * q).sum(axis=1) / total
+    from_p, from_q = p - centre_p[:, None], q - centre_q[:, None]
+    dot = (w * (from_p * from_q).sum(axis=2)).sum(axis=1)
+    cross = (w * (from_p[:, :, 0] * from_q[:, :, 1] - from_p[:, :, 1] * from_q[:, :, 0])).sum(
+        axis=1
+    )
+    length = np.hypot(dot, cross) + 1e-12
+    cos, sin = dot / length, cross / length
+    d = v[:, 0] - centre_p
+    turned = np.stack([cos * d[:, 0] - sin * d[:, 1], sin * d[:, 0] + cos * d[:, 1]], axis=-1)
+    return (turned + centre_q - 0.5).reshape(height, width, 2).astype(np.float32)
+
+
+def contestants(image, p, q):
+    """Name and what is timed: one new pose of one image, and drawing it."""
+    height, width = image.shape[:2]
+    plan = mlswarp.Plan(p, like=image)
+    pose = plan.pose(q)
+    x, y = np.moveaxis(np.nan_to_num(pose.map(), nan=-1e6), 2, 0)
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    out = np.empty_like(image)
+
+    def plain():
+        moved = moving_least_squares(q, p, width, height)
+        return cv2.remap(image, moved[:, :, 0], moved[:, :, 1], cv2.INTER_LINEAR)
+
+    def thin_plate():
+        transform = skimage.transform.ThinPlateSplineTransform.from_estimate(q, p)
+        return skimage.transform.warp(image, transform, preserve_range=True)
+
+    def piecewise():
+        corners = [[0, 0], [width, 0], [0, height], [width, height]]
+        rest, posed = np.vstack([p, corners]), np.vstack([q, corners])
+        transform = skimage.transform.PiecewiseAffineTransform.from_estimate(posed, rest)
+        return skimage.transform.warp(image, transform, preserve_range=True)
+
+    rows = {
+        "mlswarp: pose and warp": lambda: plan.pose(q).warp(image),
+        "mlswarp: warp of a ready pose": lambda: pose.warp(image),
+        "mlswarp: the same, into out": lambda: pose.warp(image, out=out),
+        "mlswarp: plan, pose and warp": lambda: mlswarp.Plan(p, like=image).pose(q).warp(image),
+        "mlswarp: pose, its map": lambda: plan.pose(q).map(),
+        "cv2.remap, ready map": lambda: cv2.remap(image, x, y, cv2.INTER_LINEAR),
+        "NumPy, map by moving least squares, and cv2.remap": plain,
+        "skimage ThinPlateSplineTransform": thin_plate,
+        "skimage PiecewiseAffineTransform": piecewise,
+    }
+    try:
+        import molesq
+    except ImportError:
+        return rows, pose
+
+    def molesq_warp():
+        flipped = [np.asarray(one)[:, ::-1] for one in (p, q)]
+        transformer = molesq.ImageTransformer(image, *flipped, color_dim=2)
+        return transformer.deform_whole_image()
+
+    return {**rows, "molesq": molesq_warp}, pose
+
+
+def table(name, image, threads):
+    mlswarp.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    height, width = image.shape[:2]
+    columns, rows = np.meshgrid(np.linspace(0.1, 0.9, 6), np.linspace(0.1, 0.9, 5))
+    p = np.stack([columns * width, rows * height], axis=-1).reshape(-1, 2)
+    q = p + np.random.default_rng(7).normal(0, width / 60, p.shape)
+    timed, pose = contestants(image, p, q)
+    times = {row: [] for row in timed}
+    skipped = {}
+    for turn in range(ROUNDS + 1):
+        for row, work in timed.items():
+            # What takes seconds is timed once.
+            if row in skipped or turn > 1 and times[row] and times[row][0] > 1.5:
+                continue
+            begun = time.perf_counter()
+            try:
+                work()
+            except Exception as error:  # A peer that does not run is a row, not the end.
+                skipped[row] = f"{type(error).__name__}: {error}"[:80]
+                continue
+            if turn:
+                times[row].append(time.perf_counter() - begun)
+    print(f"\n{name}, {len(p)} points, {threads} thread(s), {pose.folds} folds\n")
+    print(f"| {'':<50} | {'ms':>9} | {'relative':>8} |\n|{'-' * 52}|{'-' * 10}:|{'-' * 9}:|")
+    base = statistics.median(times["mlswarp: pose and warp"])
+    for row, found in times.items():
+        if row in skipped:
+            print(f"| {row:<50} | {skipped[row]} |  |")
+            continue
+        median = statistics.median(found)
+        print(f"| {row:<50} | {1e3 * median:>9.2f} | {median / base:>8.2f} |")
+
+
+def overhead(image):
+    """What Python adds to the time in the engine: arrays in and out, handles as JSON, the pool."""
+    mlswarp.set_num_threads(1)
+    plan = mlswarp.Plan([[100, 100], [400, 400]], like=image)
+    pose = plan.pose([[110, 100], [400, 390]])
+    output, shape = b'{"output":{}}', image.shape
+    whole, inside = [], []
+    for _ in range(300):
+        begun = time.perf_counter()
+        pose.warp(image)
+        whole.append(time.perf_counter() - begun)
+        inside.append(pose._live().warp(image, shape, output).seconds)
+    share = statistics.median(whole) / statistics.median(inside) - 1
+    print(f"\noverhead of Python over the engine, 500 x 500: {100 * share:.1f} %", end=" ")
+    print(f"({1e3 * statistics.median(inside):.2f} ms in the engine)")
+
+
+def two_threads(image):
+    """Whether two threads of Python take as long as one for the same work."""
+    import threading
+
+    mlswarp.set_num_threads(1)
+    pose = mlswarp.Plan([[100, 100]], like=image).pose([[110, 100]])
+    work = lambda: [pose.warp(image) for _ in range(40)]
+    ratios = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        work(), work()
+        one = time.perf_counter() - begun
+        threads = [threading.Thread(target=work) for _ in range(2)]
+        begun = time.perf_counter()
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        ratios.append((time.perf_counter() - begun) / one)
+    print(f"two threads of Python: {statistics.median(ratios):.2f} of the time of one")
+
+
+def stimuli():
+    """1,000 stimuli of 696 x 768: time and memory of a new process."""
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (768, 696, 3), dtype=np.uint8)
+    columns, rows = np.meshgrid(np.linspace(100, 600, 8), np.linspace(100, 660, 9))
+    plan = mlswarp.Plan(np.stack([columns, rows], axis=-1).reshape(-1, 2), like=image)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begun = time.perf_counter()
+    for pose in plan.jitter(sigma=6, count=1000, seed=7):
+        pose.warp(image)
+    seconds = time.perf_counter() - begun
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    threads = mlswarp.get_num_threads()
+    print(f"1,000 stimuli of 696 x 768, 72 points, {threads} threads: {seconds:.1f} s,", end=" ")
+    print(f"peak {peak / 1024:.0f} MiB (before: {before / 1024:.0f} MiB)")
+
+
+def main():
+    if sys.argv[1:] == ["stimuli"]:
+        return stimuli()
+    picture = Image.open(sys.argv[1]).convert("RGB")
+    small = np.asarray(picture.resize((500, 500)))
+    large = np.asarray(picture.resize((1920, 1080)))
+    for threads in sorted({1, CV_THREADS}):
+        table("500 x 500", small, threads)
+        table("1920 x 1080", large, threads)
+    overhead(small)
+    two_threads(small)
+    subprocess.run([sys.executable, __file__, "stimuli"], check=True)
+    code = "import numpy, time; t = time.perf_counter(); import mlswarp; "
+    code += "print(time.perf_counter() - t)"
+    found = [subprocess.check_output([sys.executable, "-c", code]) for _ in range(5)]
+    print(f"import after NumPy: {1e3 * statistics.median(map(float, found)):.0f} ms")
+
+
+if __name__ == "__main__":
+    main()
