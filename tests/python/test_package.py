@@ -356,7 +356,9 @@ def test_jitter_repeats_and_checks_its_numbers():
             PLAN.jitter(**{"sigma": 3, "count": 3, "seed": 7, **wrong})
 
 
-@pytest.mark.parametrize("name", ["mlswarp", "mlswarp._plan", "mlswarp._values", "mlswarp.augment"])
+@pytest.mark.parametrize(
+    "name", ["mlswarp", "mlswarp._plan", "mlswarp._pose", "mlswarp._values", "mlswarp.augment"]
+)
 def test_examples_of_docstrings(name):
     found = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert found.failed == 0

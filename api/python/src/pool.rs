@@ -1,7 +1,7 @@
 //! Long work without Python's lock, on threads of this process.
 //!
 //! Nothing is started before the first work. A forked child has none of its parent's threads, so it
-//! gets a pool of its own: pools are known by the number of their process, and the parent's are left
+//! gets a pool of its own: pools are known by the number of their process. The parent's are left
 //! alone, because to drop one would be to wait for threads that do not exist. All of this state is
 //! read and changed under Python's lock only, which `os.fork` holds too: no child inherits the lock
 //! of [`POOLS`] closed.

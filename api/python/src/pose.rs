@@ -60,7 +60,7 @@ impl Pose {
         warnings.map(|warning| warning.code()).collect()
     }
 
-    /// Draws an image. `shape`: height, width, samples. `output`: a warp object with `output` alone.
+    /// Draws an image. `shape`: height, width, samples. `output`: a warp object with that alone.
     /// `region`: a mask of the same height and width with its number of samples.
     #[pyo3(signature = (image, shape, output, region=None))]
     fn warp(

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 from ._engine import num_threads as get_num_threads
 from ._engine import set_num_threads
 from ._files import File, Landmarks, load_landmarks, warp_file
-from ._plan import Candidate, Canvas, Fill, FitReport, Plan, Pose, Report
+from ._plan import Candidate, FitReport, Plan
+from ._pose import Canvas, Fill, Pose, Report
 from ._values import (
     Coordinates,
     Handles,

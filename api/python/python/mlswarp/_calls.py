@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._files import File, _read
-from ._plan import Report, _report
+from ._pose import Report, report_of
 from ._values import Coordinates, Handles, json_handles, positions, to_json
 from .errors import (
     ApiError,
@@ -255,7 +255,7 @@ def position_map(
 
 def report(session: str, q: Handles | None, strength: float | None) -> Call[Report]:
     def read(response: Response) -> Report:
-        return _report(_json(response))
+        return report_of(_json(response))
 
     return Call("POST", f"sessions/{session}/report", read, json=to_json(pose_of(q, strength)))
 

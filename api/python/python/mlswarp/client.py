@@ -8,11 +8,9 @@ means that a newer pose was drawn, and is raised.
 from __future__ import annotations
 
 import asyncio
-import os
 import time
-import uuid
-from collections.abc import AsyncIterator, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, suppress
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -23,11 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _calls
+from ._async_client import AsyncBatch, AsyncClient, AsyncSession
 from ._calls import Call, Rendered, delay_before, failure_of, is_gone, problem_of
 from ._drag import AsyncDrag, Drag, Frame
-from ._files import File, _read
-from ._plan import Report
-from ._values import Coordinates, Handles, json_handles, to_json
+from ._files import File
+from ._pose import Report
+from ._settings import Opened, Settings
+from ._values import Coordinates, Handles
 from .errors import MlswarpError
 
 __all__ = [
@@ -44,46 +44,6 @@ __all__ = [
 ]
 
 T = TypeVar("T")
-_DEFAULT_URL = "http://127.0.0.1:8080"
-_CONNECT_SECONDS = 5.0
-
-
-class _Settings:
-    """What both clients know."""
-
-    def __init__(
-        self, url: str | None, api_key: str | None, timeout: float, max_retries: int
-    ) -> None:
-        self.url = (url or os.environ.get("MLSWARP_URL") or _DEFAULT_URL).rstrip("/")
-        key = api_key or os.environ.get("MLSWARP_KEY")
-        self.headers = {"Authorization": f"Bearer {key}"} if key else {}
-        self.timeout = timeout
-        self.max_retries = max_retries
-
-    def http(self) -> dict[str, Any]:
-        timeout = httpx2.Timeout(self.timeout, connect=min(_CONNECT_SECONDS, self.timeout))
-        return {"timeout": timeout}
-
-    def request(self, call: Call[Any]) -> dict[str, Any]:
-        options = {**call.options(), **self.http()}
-        options["headers"] = {**self.headers, **options["headers"]}
-        return {"method": call.method, "url": f"{self.url}/{call.path}", **options}
-
-
-class _Opened:
-    """What is needed to open a session, once more if it has to be."""
-
-    def __init__(
-        self, image: File, p: Handles | None, rest: Mapping[str, Any], region: File | None
-    ) -> None:
-        self.id: str = str(uuid.uuid4())
-        self.image: bytes = _read(image)
-        self.region: bytes | None = None if region is None else _read(region)
-        handles = {} if p is None else {"p": json_handles(p, "p")}
-        self.warp: bytes = to_json({**handles, **rest})
-
-    def call(self) -> Call[dict[str, Any]]:
-        return _calls.put_session(self.id, self.image, self.warp, self.region)
 
 
 class Client:
@@ -102,7 +62,7 @@ class Client:
         max_retries: int = 2,
         http_client: httpx2.Client | None = None,
     ) -> None:
-        self._settings = _Settings(url, api_key, timeout, max_retries)
+        self._settings = Settings(url, api_key, timeout, max_retries)
         self._owns = http_client is None
         self._http = http_client or httpx2.Client()
 
@@ -127,7 +87,7 @@ class Client:
     ) -> Client:
         """The same connections with other patience."""
         other = Client.__new__(Client)
-        other._settings = _Settings.__new__(_Settings)
+        other._settings = Settings.__new__(Settings)
         other._settings.__dict__.update(self._settings.__dict__)
         if timeout is not None:
             other._settings.timeout = timeout
@@ -158,7 +118,7 @@ class Client:
         """A session with an image and handles at rest, for many poses: use it in a `with` block.
         `rest`: everything else of a warp object. `reopen`: a session that the server has lost is
         opened again from the image that is kept here (without its layers)."""
-        opened = _Opened(image, p, rest, region)
+        opened = Opened(image, p, rest, region)
         return Session(self, opened, self._run(opened.call()), reopen)
 
     def _run(self, call: Call[T]) -> T:
@@ -188,7 +148,7 @@ class Session:
     """An image with handles at rest on a server. Made by `Client.open`."""
 
     def __init__(
-        self, client: Client, opened: _Opened, session: dict[str, Any], reopen: bool
+        self, client: Client, opened: Opened, session: dict[str, Any], reopen: bool
     ) -> None:
         self._client = client
         self._opened = opened
@@ -349,244 +309,4 @@ class Batch:
         """Writes the file as it comes."""
         with Path(path).open("wb") as out:
             for piece in self:
-                out.write(piece)
-
-
-class AsyncClient:
-    """A server, for programs with an event loop: `Client` with `await` and `async with`."""
-
-    def __init__(
-        self,
-        url: str | None = None,
-        *,
-        api_key: str | None = None,
-        timeout: float = 60.0,
-        max_retries: int = 2,
-        http_client: httpx2.AsyncClient | None = None,
-    ) -> None:
-        self._settings = _Settings(url, api_key, timeout, max_retries)
-        self._owns = http_client is None
-        self._http = http_client or httpx2.AsyncClient()
-
-    async def __aenter__(self) -> AsyncClient:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.aclose()
-
-    async def aclose(self) -> None:
-        """Closes the connections."""
-        if self._owns:
-            await self._http.aclose()
-
-    async def warp(
-        self,
-        image: File,
-        warp: Mapping[str, Any] | str | bytes,
-        *,
-        region: File | None = None,
-    ) -> Rendered:
-        """As `Client.warp`."""
-        return await self._run(_calls.warp_once(image, warp, region))
-
-    async def open(
-        self,
-        image: File,
-        p: Handles | None = None,
-        *,
-        reopen: bool = False,
-        region: File | None = None,
-        **rest: Any,
-    ) -> AsyncSession:
-        """As `Client.open`, for an `async with` block."""
-        opened = _Opened(image, p, rest, region)
-        return AsyncSession(self, opened, await self._run(opened.call()), reopen)
-
-    async def _run(self, call: Call[T]) -> T:
-        return call.read(await self._send(call, stream=False))
-
-    async def _send(self, call: Call[Any], *, stream: bool) -> httpx2.Response:
-        for attempt in range(self._settings.max_retries + 1):
-            response: httpx2.Response | None = None
-            try:
-                request = self._http.build_request(**self._settings.request(call))
-                response = await self._http.send(request, stream=stream)
-                if response.is_success:
-                    return response
-                if stream:
-                    await response.aread()
-                failure: MlswarpError = problem_of(response)
-            except httpx2.TransportError as error:
-                failure = failure_of(error, self._settings.url)
-            delay = delay_before(attempt, response)
-            if delay is None or attempt == self._settings.max_retries:
-                raise failure
-            await asyncio.sleep(delay)
-        raise AssertionError("the last attempt returns or raises")
-
-
-class AsyncSession:
-    """`Session` with `await`. Made by `AsyncClient.open`."""
-
-    def __init__(
-        self, client: AsyncClient, opened: _Opened, session: dict[str, Any], reopen: bool
-    ) -> None:
-        self._client = client
-        self._opened = opened
-        self._session = session
-        self._reopen = reopen
-
-    async def __aenter__(self) -> AsyncSession:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        with suppress(MlswarpError):
-            await self.delete()
-
-    @property
-    def id(self) -> str:
-        """Its name in paths."""
-        return self._opened.id
-
-    @property
-    def info(self) -> Mapping[str, Any]:
-        """What the server says of it: handles, size, effective parameters."""
-        return self._session
-
-    async def delete(self) -> None:
-        """Ends the session."""
-        await self._client._run(_calls.delete_session(self.id))
-
-    async def warp(
-        self,
-        q: Handles | None = None,
-        *,
-        strength: float | None = None,
-        layer: str | None = None,
-        output: Mapping[str, Any] | None = None,
-    ) -> Rendered:
-        """As `Session.warp`."""
-        return await self._run(_calls.warp(self.id, q, strength, layer, output))
-
-    async def points(
-        self,
-        xy: Coordinates,
-        *,
-        q: Handles | None = None,
-        strength: float | None = None,
-        inverse: bool = False,
-    ) -> NDArray[np.float64]:
-        """As `Pose.points`."""
-        return await self._run(_calls.points(self.id, xy, q, strength, inverse))
-
-    async def boxes(
-        self,
-        ltrb: ArrayLike,
-        *,
-        q: Handles | None = None,
-        strength: float | None = None,
-        inverse: bool = False,
-    ) -> NDArray[np.float64]:
-        """As `Pose.boxes`."""
-        return await self._run(_calls.boxes(self.id, ltrb, q, strength, inverse))
-
-    async def map(
-        self,
-        q: Handles | None = None,
-        *,
-        strength: float | None = None,
-        direction: Literal["inverse", "forward"] = "inverse",
-    ) -> NDArray[np.float32]:
-        """As `Pose.map`."""
-        return await self._run(_calls.position_map(self.id, q, strength, direction))
-
-    async def report(self, q: Handles | None = None, *, strength: float | None = None) -> Report:
-        """As `Pose.report`."""
-        return await self._run(_calls.report(self.id, q, strength))
-
-    async def put_layer(
-        self, name: str, file: File, *, kind: Literal["image", "labels"] = "image"
-    ) -> None:
-        """As `Session.put_layer`."""
-        self._session = await self._run(_calls.put_layer(self.id, name, file, kind))
-
-    def batch(
-        self,
-        q: Handles | None = None,
-        *,
-        strength: float | None = None,
-        accept: Literal["application/zip", "image/apng", "image/gif"] = "application/zip",
-        **more: Any,
-    ) -> AbstractAsyncContextManager[AsyncBatch]:
-        """As `Session.batch`, for an `async with` block."""
-        return AsyncBatch(self, _calls.batch(self.id, q, strength, accept, more))
-
-    def drag(self, **options: str | int) -> AsyncDrag:
-        """As `Session.drag`, for `async with` and `async for`."""
-        settings = self._client._settings
-        given = {name: str(value) for name, value in options.items()}
-        address = f"{settings.url}/sessions/{self.id}/drag"
-        return AsyncDrag(address, settings.headers, given, self._open_again, settings.timeout)
-
-    async def _open_again(self) -> bool:
-        if self._reopen:
-            self._session = await self._client._run(self._opened.call())
-        return self._reopen
-
-    async def _run(self, call: Call[T]) -> T:
-        return call.read(await self._send(call, stream=False))
-
-    async def _send(self, call: Call[Any], *, stream: bool) -> httpx2.Response:
-        try:
-            return await self._client._send(call, stream=stream)
-        except MlswarpError as error:
-            if not is_gone(error) or not await self._open_again():
-                raise
-        return await self._client._send(call, stream=stream)
-
-
-class AsyncBatch:
-    """The bytes of a batch."""
-
-    def __init__(self, session: AsyncSession, call: Call[None]) -> None:
-        self._session = session
-        self._call = call
-        self._response: httpx2.Response | None = None
-
-    async def __aenter__(self) -> AsyncBatch:
-        self._response = await self._session._send(self._call, stream=True)
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._response is not None:
-            await self._response.aclose()
-
-    async def __aiter__(self) -> AsyncIterator[bytes]:
-        if self._response is None:
-            raise RuntimeError("use the batch in an `async with` block")
-        try:
-            async for piece in self._response.aiter_bytes():
-                yield piece
-        except httpx2.TransportError as error:
-            raise failure_of(error, "the batch") from error
-
-    async def to_file(self, path: str | PathLike[str]) -> None:
-        """Writes the file as it comes."""
-        with Path(path).open("wb") as out:
-            async for piece in self:
                 out.write(piece)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from .._plan import Plan, Pose
+from .._plan import Plan
+from .._pose import Pose
 from .._values import Handles
 from ..errors import InvalidWarp
 

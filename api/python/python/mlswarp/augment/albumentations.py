@@ -16,7 +16,7 @@ import numpy as np
 from albumentations.core.type_definitions import Targets
 from numpy.typing import NDArray
 
-from .._plan import Fill, Pose
+from .._pose import Fill, Pose
 from . import RandomWarp
 
 __all__ = ["MlsWarp"]

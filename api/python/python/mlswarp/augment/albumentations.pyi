@@ -1,6 +1,6 @@
 from typing import Any, Literal
 
-from .._plan import Fill
+from .._pose import Fill
 
 __all__ = ["MlsWarp"]
 
