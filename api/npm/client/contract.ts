@@ -77,7 +77,7 @@ export type Weights = number[];
  * neither `alpha` nor `smoothing`. The choice is made once: a session keeps it, and drags do
  * not choose again. The response of `POST /warp` names it (`Warp-Method`).
  */
-export type Method = "rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely" | "auto";
+export type Method = "rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely" | "arap" | "auto";
 
 /**
  * `rigid`, `similarity` and `affine`: the class of maps that moving least squares fits at
@@ -86,14 +86,20 @@ export type Method = "rigid" | "similarity" | "affine" | "tps" | "global_affine"
  * `global_affine`: one affine map, of least squares over all handles, which it does not meet
  * exactly; it has no `alpha`. `beier_neely`: field morphing (Beier, Neely 1992), forwards,
  * for lines only; it has no `alpha` and no `point_mass`, and its parameters are in the
- * object `beier_neely`.
+ * object `beier_neely`. `arap`: as rigid as possible (Igarashi, Moscovich, Hughes 2005), on
+ * a mesh of what the image shows, which follows its outline: pixels of more than half of
+ * full alpha, times the region. It needs an image: `/points`, `/map` and `/report` outside
+ * of a session answer `not_supported`. It has no `alpha`, no `point_mass`, no `grid` other
+ * than `auto`, and no table (`no_table`); its parameter is in the object `arap`. A handle
+ * more than 3 px beside the mask is refused; a part with one handle moves as a whole, and
+ * one without stays.
  */
-export type EffectiveMethod = "rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely";
+export type EffectiveMethod = "rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely" | "arap";
 
 /**
  * The exponent of the weight 1/|p - v|^(2 alpha): how quickly a handle's influence falls off
  * with distance. At least 0.5 in a set with lines. Default 1 for points alone, 2 with any
- * line. Not with `tps`, `global_affine`, `beier_neely` and `auto`.
+ * line. Not with `tps`, `global_affine`, `beier_neely`, `arap` and `auto`.
  */
 export type Alpha = number;
 
@@ -118,8 +124,19 @@ export type BeierNeely = {
 };
 
 /**
+ * Parameters of the method `arap`. An object replaces the former one as a whole.
+ */
+export type Arap = {
+  /**
+   * Side of the cells of the mesh, px. By default 4 to 32, so that about 3,000 of them cover
+   * what the image shows. The mesh has at most 60,000 vertices (`too_many_vertices`).
+   */
+  cell?: number;
+};
+
+/**
  * The mass of a point in a set of points and lines, px. Default: the mean length of the
- * segments. Not with `tps` and `beier_neely`.
+ * segments. Not with `tps`, `beier_neely` and `arap`.
  */
 export type PointMass = number;
 
@@ -283,9 +300,9 @@ export type Output = {
 export type Metric = "euclidean" | "geodesic";
 
 /**
- * What belongs to the mask of the metric `geodesic`: pixels whose alpha, times the region if
- * there is one, is above this share of full alpha. Other visible pixels go with the nearest
- * of these.
+ * What belongs to the mask of the metric `geodesic` and the method `arap`: pixels whose
+ * alpha, times the region if there is one, is above this share of full alpha. Other visible
+ * pixels go with the nearest of these.
  */
 export type Mask = {
   threshold?: number;
@@ -308,6 +325,7 @@ export type WarpObject = {
   beier_neely?: BeierNeely;
   metric?: Metric;
   mask?: Mask;
+  arap?: Arap;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -452,6 +470,7 @@ export type Points = {
   beier_neely?: BeierNeely;
   metric?: Metric;
   mask?: Mask;
+  arap?: Arap;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -518,6 +537,7 @@ export type Report = {
   beier_neely?: BeierNeely;
   metric?: Metric;
   mask?: Mask;
+  arap?: Arap;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -712,6 +732,7 @@ export type Map = {
   beier_neely?: BeierNeely;
   metric?: Metric;
   mask?: Mask;
+  arap?: Arap;
   coincident?: Coincident;
   units?: Units;
   grid?: Grid;
@@ -1167,6 +1188,7 @@ export type Session = {
    */
   metric?: "geodesic";
   mask?: Mask;
+  arap?: Arap;
   /**
    * The groups of coincident points, each of which is one handle; absent if no points
    * coincide.
@@ -1245,7 +1267,7 @@ export type Problem = {
   title: string;
   status: number;
   detail: string;
-  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "outside_mask" | "empty_mask" | "no_table" | "folded" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
+  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "outside_mask" | "empty_mask" | "too_many_vertices" | "no_table" | "folded" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
   /**
    * JSON pointer (RFC 6901) into the JSON of the request: the body, or the part `warp`.
    */
