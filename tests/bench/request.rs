@@ -24,6 +24,8 @@ mod drag;
 mod harness;
 #[path = "request/in_process.rs"]
 mod in_process;
+#[path = "request/landmarks.rs"]
+mod landmarks;
 #[path = "request/loopback.rs"]
 mod loopback;
 #[path = "request/service.rs"]

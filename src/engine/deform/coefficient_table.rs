@@ -58,14 +58,14 @@ impl CoefficientTable {
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<CoefficientLanes>() as u64
     }
 
-    /// Whether a table is worth its time: what it saves of each pose may be small beside what its
-    /// coefficients take.
+    /// Whether a table is worth its time and its memory for posing: what it saves of each pose may
+    /// be less than what reading it takes.
     #[must_use]
     pub fn is_worthwhile(field: &RestDeformation) -> bool {
-        Self::reason_against(field).is_none()
+        field.map.has_table(&field.set)
     }
 
-    /// Why there is no table, if it is not worth its time.
+    /// Why there is no table for clients, if it is not worth its time.
     #[must_use]
     pub fn reason_against(field: &RestDeformation) -> Option<&'static str> {
         field.map.without_table()
@@ -321,53 +321,7 @@ fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<CoefficientLanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would
-/// not fit or pay. O(vertices x elements) with weights. `None` when cancelled, which is checked for
-/// each block of vertices.
-#[must_use]
-pub fn pose_without_table(
-    field: &RestDeformation,
-    grid: &Grid,
-    pose: &Pose,
-    cancelled: IsCancelled<'_>,
-) -> Option<(Mesh, PoseQuality)> {
-    let columns = grid.columns() as usize;
-    let mut displacement = vec![[0.0f32; 2]; grid.len()];
-    let mut least_rotation = 1.0;
-    if !pose.is_identity() {
-        let f = field.deformation(pose);
-        least_rotation = displacement
-            .par_chunks_mut(LANES * BLOCKS_PER_TASK)
-            .enumerate()
-            .map_init(
-                || Workspace::<LANES>::new(field.terms()),
-                |workspace, (task, out)| {
-                    let mut least = f32::INFINITY;
-                    for (k, out) in out.chunks_mut(LANES).enumerate() {
-                        if cancelled() {
-                            return None;
-                        }
-                        let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
-                        let v =
-                            gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1)));
-                        let ([x, y], rotation) = f.displacements(&v, false, workspace);
-                        for (out, (x, y)) in out.iter_mut().zip(x.into_iter().zip(y)) {
-                            *out = to_f32(Vec2::new(x, y));
-                        }
-                        least = least.min(rotation);
-                    }
-                    Some(least)
-                },
-            )
-            .try_reduce(|| f32::INFINITY, |a, b| Some(a.min(b)))?;
-    }
-    Some((
-        Mesh::new(*grid, displacement),
-        PoseQuality { least_rotation },
-    ))
-}
-
-fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
+pub(super) fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
     #[expect(
         clippy::cast_possible_truncation,
         reason = "k < columns * rows, both u32"
@@ -425,7 +379,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::deform::{Falloff, Handle, Handles, Method};
+    use crate::deform::{Falloff, Handle, Handles, Method, pose_without_table};
 
     fn field(count: u32) -> (RestDeformation, Pose) {
         let place = |k: u32| {

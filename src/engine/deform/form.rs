@@ -18,7 +18,7 @@ pub enum CoefficientForm {
 }
 
 /// Below this |m| the rotation is undefined (f64).
-const UNDEFINED_ROTATION: f64 = 1e-9;
+pub(super) const UNDEFINED_ROTATION: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
 pub(super) fn displacement<const N: usize>(

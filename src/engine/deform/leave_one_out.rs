@@ -101,7 +101,7 @@ impl RestDeformation {
             self.map.of_part(rest, cancelled)?,
         );
         let direct = map.posed(rest, d, true);
-        if let Some(([[x], [y]], _)) = direct.and_then(|posed| posed.displacements(&v, true)) {
+        if let Some(([[x], [y]], _)) = direct.and_then(|posed| posed.displacements(&v)) {
             return Some(Vec2::new(x, y));
         }
         thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));

@@ -60,9 +60,11 @@ mod subdivide;
 #[forbid(unsafe_code)]
 mod subdivision_cache;
 #[forbid(unsafe_code)]
+mod tiles;
+#[forbid(unsafe_code)]
 mod workspace;
 
-pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality, pose_without_table};
+pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, NotTaken, Warning};
@@ -76,7 +78,7 @@ pub use methods::{AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, M
 pub use overall::{Class, Fitted, PlaneMap, fitted};
 pub use parameters::{Parameter, Parameters};
 pub use point_map::{Identity, MeshMethod};
-pub use posed_map::PosedMap;
+pub use posed_map::{PosedMap, pose_without_table};
 pub use rest_deformation::RestDeformation;
 pub use subdivide::{SubdividedMesh, Subdivider};
 pub use subdivision_cache::SubdivisionCache;

@@ -10,7 +10,7 @@ use super::lanes::{LANES, Vertices};
 use super::mesh_solver::MeshSolver;
 use super::workspace::Workspace;
 use super::{DeformError, Handles, IsCancelled, Parameters, Warning};
-use crate::geometry::Vec2;
+use crate::geometry::{Point, Vec2};
 use crate::topology::Mask;
 
 /// Handles at rest as a map sees them, coincident points as one.
@@ -105,21 +105,20 @@ pub(super) trait CoefficientsOf<const N: usize> {
 /// `f(v) - v` of N positions, px, and the least |m| (rigid), else 1.
 pub(super) type Displacements<const N: usize> = ([[f64; N]; 2], f32);
 
-/// f of one pose at N positions without their coefficients. Implemented once for every N.
+/// f of one pose at N positions without their coefficients, as precisely as these. Implemented once
+/// for every N.
 pub(super) trait DisplacementsOf<const N: usize> {
-    /// `None`: not in this precision; coefficients are.
-    fn displacements(&self, v: &Vertices<N>, exact: bool) -> Option<Displacements<N>>;
+    /// `None`: coefficients are more precise.
+    fn displacements(&self, v: &Vertices<N>) -> Option<Displacements<N>>;
 }
 
 /// f of one pose, for positions that are used once.
 pub(super) trait PosedWithoutCoefficients:
     DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync
 {
-}
-
-impl<T: DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync> PosedWithoutCoefficients
-    for T
-{
+    /// `f(v) - v`, px, and |m| (rigid), else 1, of every position, in the precision of a table and
+    /// in parallel. `None` when cancelled.
+    fn displaced(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 3]>>;
 }
 
 /// A map whose value is known at any position.
@@ -161,9 +160,14 @@ pub(super) trait PointMap:
         None
     }
 
-    /// Why there is no table of coefficients, if there is none.
+    /// Why there is no table of coefficients, not even for clients, if there is none.
     fn without_table(&self) -> Option<&'static str> {
         None
+    }
+
+    /// Whether a pose is read from a table of coefficients. If not, `posed` takes no longer.
+    fn has_table(&self, _set: &RestSet) -> bool {
+        self.without_table().is_none()
     }
 
     /// Whether coefficients inside cells are worth keeping.

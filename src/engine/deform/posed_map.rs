@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::cell::RefCell;
 
+use super::coefficient_table::{PoseQuality, to_f32, vertex};
 use super::columns::{Element, Rank, RestSegment};
 use super::form::{displacement, rotation};
 use super::lanes::{LANES, Vertices, gather};
@@ -11,7 +12,8 @@ use super::point_map::{
 };
 use super::workspace::Workspace;
 use super::{IsCancelled, Pose, RestDeformation};
-use crate::geometry::{Point, Vec2};
+use crate::geometry::{Grid, Mesh, Point, Vec2};
+use crate::parallel::prelude::*;
 
 /// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some
 /// microseconds, with lines a millisecond.
@@ -167,6 +169,18 @@ impl RestDeformation {
     }
 }
 
+/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would
+/// not fit or pay. `None` when cancelled, which is checked for each block of vertices.
+#[must_use]
+pub fn pose_without_table(
+    field: &RestDeformation,
+    grid: &Grid,
+    pose: &Pose,
+    cancelled: IsCancelled<'_>,
+) -> Option<(Mesh, PoseQuality)> {
+    field.deformation(pose).mesh(grid, pose, cancelled)
+}
+
 impl<'a> PosedMap<'a> {
     pub(super) fn columns(&self) -> usize {
         self.field.handles.columns()
@@ -208,6 +222,60 @@ impl<'a> PosedMap<'a> {
         Some(mapped)
     }
 
+    /// The posed mesh of a grid. O(vertices x elements) with weights, less where a method has
+    /// better. `None` when cancelled.
+    #[must_use]
+    pub fn mesh(
+        &self,
+        grid: &Grid,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<(Mesh, PoseQuality)> {
+        let columns = grid.columns() as usize;
+        let (displacement, least_rotation) = if pose.is_identity() {
+            (vec![[0.0; 2]; grid.len()], 1.0)
+        } else {
+            let places: Vec<Point> = (0..grid.len()).map(|k| vertex(grid, columns, k)).collect();
+            self.displaced(&places, cancelled)?
+        };
+        let quality = PoseQuality { least_rotation };
+        Some((Mesh::new(*grid, displacement), quality))
+    }
+
+    /// `f(v) - v`, px, of every position, in the precision of a table, and the least |m| (rigid),
+    /// else 1. In parallel on the current pool; `None` when cancelled.
+    pub(super) fn displaced(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<(Vec<[f32; 2]>, f32)> {
+        let single = if let Some(posed) = &self.without_coefficients {
+            posed.displaced(places, cancelled)?
+        } else {
+            let blocks: Option<Vec<Vec<[f32; 3]>>> = places
+                .par_chunks(LANES)
+                .map_init(
+                    || Workspace::<LANES>::new(self.terms()),
+                    |workspace, places| {
+                        if cancelled() {
+                            return None;
+                        }
+                        let v = gather(|lane| places[lane.min(places.len() - 1)]);
+                        let ([x, y], least) = self.displacements(&v, false, workspace);
+                        let moved = |k: usize| {
+                            let [x, y] = to_f32(Vec2::new(x[k], y[k]));
+                            [x, y, least]
+                        };
+                        Some((0..places.len()).map(moved).collect())
+                    },
+                )
+                .collect();
+            blocks?.concat()
+        };
+        let least = single.iter().fold(1.0, |least, [_, _, m]| m.min(least));
+        Some((single.into_iter().map(|[x, y, _]| [x, y]).collect(), least))
+    }
+
     /// f at up to [`LANES`] positions.
     pub(super) fn map_block(
         &self,
@@ -237,7 +305,7 @@ impl<'a> PosedMap<'a> {
     {
         let direct = self.without_coefficients.as_deref();
         if let Some(displacements) =
-            direct.and_then(|posed| DisplacementsOf::<N>::displacements(posed, v, exact))
+            direct.and_then(|posed| DisplacementsOf::<N>::displacements(posed, v))
         {
             return displacements;
         }

@@ -17,6 +17,7 @@ use super::measured::{
     MAX_SUBDIVISION_DEPTH, Measured, MeasuredCells, edge_level, on_edge, split_error,
 };
 use super::posed_cells::PosedCells;
+use super::posed_map::PosedMap;
 use super::samples::{CellSamples, sample_error};
 use super::subdivision_cache::{Posing, SubdivisionCache, group_len};
 use super::{Pose, RestDeformation};
@@ -56,6 +57,8 @@ pub struct Subdivider<'a> {
     pub field: &'a RestDeformation,
     /// The rows that are kept.
     pub rows: &'a SubdivisionCache,
+    /// f of the pose, if the grid was posed by it because a table is not worth its time.
+    pub f: Option<&'a PosedMap<'a>>,
     /// Largest distance between the drawn map and f, px.
     pub tolerance: f64,
     /// The largest distance between what is drawn and a cell, px of the source, which the tolerance
@@ -100,11 +103,11 @@ impl Subdivider<'_> {
         let bytes = CoefficientTable::bytes_for(self.field, grid.len());
         // Coefficients inside cells are kept for the next poses of a drag. For large sets they
         // would take more memory and time than f itself, which is then computed at each vertex.
-        let f = (!CoefficientTable::rows_inside_cells_pay(self.field))
+        let of_pose = (self.f.is_none() && !CoefficientTable::rows_inside_cells_pay(self.field))
             .then(|| self.field.deformation(pose));
         let posing = Posing {
             field: self.field,
-            f: f.as_ref(),
+            f: self.f.or(of_pose.as_ref()),
             grid,
             d: &d,
             serial: CoefficientTable::is_posed_on_one_thread(bytes),

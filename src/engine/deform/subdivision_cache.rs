@@ -12,13 +12,13 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use crate::parallel::prelude::*;
 
-use super::coefficient_table::{IsCancelled, store, to_f32};
+use super::coefficient_table::{IsCancelled, store};
 use super::kernel::{self, BlockDisplacements, CoefficientLanes, lanes_per_block};
 use super::lanes::{LANES, gather};
 use super::posed_map::PosedMap;
 use super::rest_deformation::RestDeformation;
 use super::workspace::Workspace;
-use crate::geometry::{Grid, Point, Vec2};
+use crate::geometry::{Grid, Point};
 
 /// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the
 /// counters of its unit.
@@ -127,6 +127,14 @@ impl SubdivisionCache {
         if missing.is_empty() {
             return Some(out);
         }
+        let grid = posing.grid;
+        if let Some(f) = posing.f {
+            let places: Vec<Point> = cells
+                .iter()
+                .flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at)))
+                .collect();
+            return Some(f.displaced(&places, cancelled)?.0);
+        }
         let per_unit = groups_per_unit(level);
         let compute = |workspace: &mut Workspace<LANES>, indices: &[usize]| {
             if cancelled() {
@@ -173,13 +181,6 @@ impl SubdivisionCache {
             .flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at)))
             .collect();
         let block_at = |places: &[Point]| gather(|lane| places[lane.min(places.len() - 1)]);
-        if let Some(f) = posing.f {
-            let displaced = |places: &[Point]| {
-                let ([x, y], _) = f.displacements(&block_at(places), false, workspace);
-                std::array::from_fn(|lane| to_f32(Vec2::new(x[lane], y[lane])))
-            };
-            return (places.chunks(LANES).map(displaced).collect(), None);
-        }
         let per_block = lanes_per_block(field.form(), field.terms());
         let blocks = places.len().div_ceil(LANES);
         let bytes =
@@ -238,7 +239,9 @@ mod tests {
     use std::collections::HashSet;
 
     use super::*;
+    use crate::deform::coefficient_table::to_f32;
     use crate::deform::{CoefficientTable, Falloff, Handle, Handles, Method, Pose};
+    use crate::geometry::Vec2;
 
     /// Bytes of the units that are kept, each once, and of their entries.
     fn kept_bytes(rows: &SubdivisionCache) -> u64 {

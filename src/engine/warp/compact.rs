@@ -59,7 +59,7 @@ impl CompactLattice {
         let (mut is_measured, has_handles) =
             (false, !setup.field().client_handles().handles().is_empty());
         for pose in reference_poses(setup) {
-            let (mesh, _) = setup.mesh(plan, &pose, cancelled)?;
+            let (mesh, _) = setup.mesh(plan, None, &pose, cancelled)?;
             let mut k = 0;
             while k < steps.len() {
                 let (_, displacement) = Quantized::new(&mesh, steps[k]).displacement();

@@ -13,6 +13,7 @@ pub mod blend;
 mod chacha;
 mod coefficient_request;
 mod compact;
+mod compiled_rest;
 #[cfg(feature = "codec")]
 mod coordinate_map;
 mod cut_rest;
@@ -51,6 +52,7 @@ pub use self::alignment::Alignment;
 pub use self::batch::{Easing, Jitter, jitter_grid};
 pub use self::coefficient_request::CoefficientRequest;
 pub use self::compact::CompactLattice;
+pub use self::compiled_rest::CompiledRest;
 #[cfg(feature = "codec")]
 pub use self::coordinate_map::{CoordinateMap, MapFormat, MapSpec};
 pub use self::cut_rest::FieldBytes;
@@ -72,7 +74,7 @@ pub use self::raster_source::RasterSource;
 pub use self::region::Region;
 #[cfg(feature = "codec")]
 pub use self::render_job::RenderJob;
-pub use self::resolved_rest::{CompiledRest, ResolvedRest};
+pub use self::resolved_rest::ResolvedRest;
 pub use self::spec::{
     Align, Folds, GridSpec, Holes, Limits, Metric, OutputSpec, RestSpec, Units, system_bytes,
 };

@@ -6,7 +6,7 @@ use super::resolved_rest::FINE_BYTES;
 use super::{CompiledRest, Digest, Folds, Region, ResolvedRest, Units, Warning, WarpError};
 #[cfg(feature = "codec")]
 use super::{OutputSpec, RasterSource, Target};
-use crate::deform::{self, Conflict, IsCancelled, Pose, RestDeformation};
+use crate::deform::{self, Conflict, IsCancelled, Pose, PosedMap, RestDeformation};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::{Canvas, Outside};
 
@@ -69,9 +69,11 @@ impl PosedMesh {
         folds: Folds,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
+        let f = setup.without_table(plan, pose);
+        let mut posed = Self::of_map(setup, plan, f.as_ref(), pose, folds, cancelled)?;
+        let has_folds = posed.report.folds > 0;
         if let Some(subdivided) =
-            setup.subdivide(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)?
+            setup.subdivide(plan, f.as_ref(), &posed.mesh, has_folds, pose, cancelled)?
         {
             posed.mesh = posed.mesh.subdivided(subdivided.subdivision);
             posed.report.residual = residual(setup.field(), pose, &posed.mesh, cancelled)?;
@@ -99,7 +101,19 @@ impl PosedMesh {
         folds: Folds,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
+        let f = setup.without_table(plan, pose);
+        Self::of_map(setup, plan, f.as_ref(), pose, folds, cancelled)
+    }
+
+    fn of_map(
+        setup: &ResolvedRest,
+        plan: &CompiledRest,
+        f: Option<&PosedMap<'_>>,
+        pose: &Pose,
+        folds: Folds,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        let (mesh, quality) = setup.mesh(plan, f, pose, cancelled)?;
         let Folding { orientation, cells } = mesh.folding(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });

@@ -10,11 +10,12 @@ use super::rest_parameters::{
 };
 use super::spec::at_most;
 use super::{
-    Digest, GridSpec, Limits, Metric, RestMask, RestSpec, Task, Units, Warning, WarpError, work,
+    CompiledRest, Digest, GridSpec, Limits, Metric, RestMask, RestSpec, Task, Units, Warning,
+    WarpError, work,
 };
 use crate::deform::{
-    self, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, RestDeformation,
-    SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
+    self, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap,
+    RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh};
 use crate::pixmap::Extent;
@@ -60,26 +61,6 @@ pub struct ResolvedRest {
     exact_bytes: u64,
     /// Most operations of a task.
     max_work: u64,
-}
-
-/// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that
-/// poses have needed.
-#[derive(Debug)]
-pub struct CompiledRest {
-    table: Option<deform::CoefficientTable>,
-    exact: SubdivisionCache,
-    exact_bytes: u64,
-}
-
-impl CompiledRest {
-    /// Memory held at most, bytes: its weight in a cache.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
-        self.table
-            .as_ref()
-            .map_or(0, deform::CoefficientTable::bytes)
-            + self.exact_bytes
-    }
 }
 
 impl ResolvedRest {
@@ -288,7 +269,7 @@ impl ResolvedRest {
     /// # Errors
     /// More than the limit.
     pub fn check_frames(&self, frames: u64) -> Result<(), WarpError> {
-        let of_vertex = if self.table_bytes.is_some() {
+        let of_vertex = if self.table_bytes.is_some() || self.is_tiled() {
             work::of_table(&self.field)
         } else {
             work::of_position(&self.field)
@@ -330,8 +311,19 @@ impl ResolvedRest {
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX_BYTES: u64 = 64;
+        /// Tiles of a pose that is not read from a table: some for a handle, one for a vertex.
+        const HANDLE_BYTES: u64 = 8 << 10;
+        const TILE_BYTES: u64 = 4 << 10;
         let cut = self.cut.as_ref().map_or(0, |cut| cut.posed_bytes());
-        self.grid.len() as u64 * VERTEX_BYTES + cut
+        let (vertices, handles) = (self.grid.len() as u64, self.field.terms() as u64);
+        let tiles =
+            u64::from(self.is_tiled()) * (handles * HANDLE_BYTES).min(vertices * TILE_BYTES);
+        vertices * VERTEX_BYTES + cut + tiles
+    }
+
+    /// Whether poses are sums over tiles.
+    fn is_tiled(&self) -> bool {
+        self.cut.is_none() && !deform::CoefficientTable::is_worthwhile(&self.field)
     }
 
     /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes;
@@ -545,18 +537,29 @@ impl ResolvedRest {
         (self.grid.width(), self.grid.height(), self.units)
     }
 
-    /// The posed mesh; without a table every row is computed again, which may take long. Stops when
-    /// `cancelled` returns true.
+    /// f of a pose, if its grid is not posed by a table.
+    pub(super) fn without_table<'a>(
+        &'a self,
+        plan: &CompiledRest,
+        pose: &'a Pose,
+    ) -> Option<PosedMap<'a>> {
+        (plan.table.is_none() && self.cut.is_none()).then(|| self.field.deformation(pose))
+    }
+
+    /// The posed mesh; without a table every vertex is computed again, which may take long. Stops
+    /// when `cancelled` returns true.
     pub(super) fn mesh(
         &self,
         plan: &CompiledRest,
+        f: Option<&PosedMap<'_>>,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Result<(Mesh, PoseQuality), WarpError> {
-        let posed = match (&plan.table, &self.cut) {
-            (table, Some(cut)) => cut.pose(&self.field, table.as_ref(), pose, cancelled),
-            (Some(table), None) => table.pose_unless(&self.grid, pose, cancelled),
-            (None, None) => pose_without_table(&self.field, &self.grid, pose, cancelled),
+        let posed = match (f, &plan.table, &self.cut) {
+            (Some(f), ..) => f.mesh(&self.grid, pose, cancelled),
+            (None, table, Some(cut)) => cut.pose(&self.field, table.as_ref(), pose, cancelled),
+            (None, Some(table), None) => table.pose_unless(&self.grid, pose, cancelled),
+            (None, None, None) => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
     }
@@ -566,6 +569,7 @@ impl ResolvedRest {
     pub(super) fn subdivide(
         &self,
         plan: &CompiledRest,
+        f: Option<&PosedMap<'_>>,
         mesh: &Mesh,
         folds: bool,
         pose: &Pose,
@@ -578,6 +582,7 @@ impl ResolvedRest {
             let subdivider = Subdivider {
                 field,
                 rows,
+                f: f.filter(|_| !deform::CoefficientTable::is_worthwhile(field)),
                 tolerance: tolerance - drawn_within,
                 drawn_within: drawn_within as f32,
                 folds,

@@ -80,6 +80,17 @@ impl Drag {
         self.plan.bytes()
     }
 
+    /// The next q to a mesh that may be drawn.
+    pub fn pose(&mut self) {
+        self.turn = (self.turn + 1) % self.poses.len();
+        let pose = self
+            .setup
+            .pose(&self.poses[self.turn])
+            .expect("a pose of these handles");
+        let posed = PosedMesh::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false);
+        std::hint::black_box(posed.expect("folds are drawn"));
+    }
+
     /// The next q to the strips of a file, a PNG unless `output` is changed, which stay where the
     /// writer put them: the service sends them as they are.
     pub fn picture(&mut self, helpers: usize) {

@@ -18,6 +18,7 @@ use crate::harness::pictures::{
     FULL_HD, SMALL, UHD, VERTICES, bytes, encode, extent, handles, photograph, size, tiles,
 };
 use crate::harness::{self, Contender, Goal, Report, contender, inside, paired, pool, remote};
+use crate::landmarks;
 
 const HANDLES: usize = 7;
 const FASTEST: (png::Compression, Option<png::Filter>) = (png::Compression::Fastest, None);
@@ -40,6 +41,10 @@ pub fn tables(report: &mut Report) {
     let title = "in process, time and memory, 500 x 500, 1 thread";
     if harness::wanted(title) {
         numbers(report, title);
+    }
+    let title = "in process, landmarks, 500 x 500, grid auto, 2 threads";
+    if harness::wanted(title) {
+        landmarks::table(report, title);
     }
     let title = "in process, levels, 500 x 500";
     if harness::wanted(title) {

@@ -14,7 +14,6 @@ mod x86;
 use super::form::CoefficientForm;
 use super::lanes::{Coefficients, LANES, Vertices};
 use super::methods::mls::metric::Metric;
-use super::methods::mls::moments::MomentInputs;
 use super::methods::mls::row::RowInputs;
 use super::workspace::CoefficientScratch;
 use crate::level::SimdLevel;
@@ -92,26 +91,23 @@ pub(super) fn rows_at<const N: usize>(
     }
 }
 
-/// `f(v) - v` of N vertices from moments, px, and |m| (rigid), else 1.
-pub(super) fn moments<const N: usize>(
-    inputs: &MomentInputs<'_>,
-    v: &Vertices<N>,
-) -> ([[f64; N]; 2], [f64; N]) {
-    moments_at(SimdLevel::detect(), inputs, v)
+/// Work over lanes. Its body, which must be inlined, is compiled for every level.
+pub(super) trait LaneWork {
+    /// The result.
+    type Output;
+
+    /// The body.
+    fn run(self) -> Self::Output;
 }
 
-/// Like [`moments`], at a level; scalar if the processor lacks it.
-pub(super) fn moments_at<const N: usize>(
-    level: SimdLevel,
-    inputs: &MomentInputs<'_>,
-    v: &Vertices<N>,
-) -> ([[f64; N]; 2], [f64; N]) {
+/// Does the work at a level; scalar if the processor lacks it.
+pub(super) fn run_at<W: LaneWork>(level: SimdLevel, work: W) -> W::Output {
     match level {
         #[cfg(target_arch = "x86_64")]
-        SimdLevel::Avx512 if level.is_supported() => x86::moments_avx512(inputs, v),
+        SimdLevel::Avx512 if level.is_supported() => x86::run_avx512(work),
         #[cfg(target_arch = "x86_64")]
-        SimdLevel::Avx2 if level.is_supported() => x86::moments_avx2(inputs, v),
-        _ => inputs.displacements::<16, N>(v),
+        SimdLevel::Avx2 if level.is_supported() => x86::run_avx2(work),
+        _ => work.run(),
     }
 }
 

@@ -3,7 +3,7 @@
 
 use super::{
     BlockDisplacements, CoefficientForm, CoefficientLanes, CoefficientScratch, Coefficients,
-    Metric, MomentInputs, RowInputs, Vertices, scalar,
+    LaneWork, Metric, RowInputs, Vertices, scalar,
 };
 
 /// See [`super::displace`].
@@ -86,34 +86,22 @@ pub(super) fn rows_avx512<const N: usize>(
     unsafe { body(inputs, v, scratch, rows) }
 }
 
-/// See [`super::moments`].
-pub(super) fn moments_avx2<const N: usize>(
-    inputs: &MomentInputs<'_>,
-    v: &Vertices<N>,
-) -> ([[f64; N]; 2], [f64; N]) {
+/// See [`super::run_at`].
+pub(super) fn run_avx2<W: LaneWork>(work: W) -> W::Output {
     #[target_feature(enable = "avx2")]
-    fn body<const N: usize>(
-        inputs: &MomentInputs<'_>,
-        v: &Vertices<N>,
-    ) -> ([[f64; N]; 2], [f64; N]) {
-        inputs.displacements::<16, N>(v)
+    fn body<W: LaneWork>(work: W) -> W::Output {
+        work.run()
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(inputs, v) }
+    unsafe { body(work) }
 }
 
-/// See [`super::moments`].
-pub(super) fn moments_avx512<const N: usize>(
-    inputs: &MomentInputs<'_>,
-    v: &Vertices<N>,
-) -> ([[f64; N]; 2], [f64; N]) {
+/// See [`super::run_at`].
+pub(super) fn run_avx512<W: LaneWork>(work: W) -> W::Output {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body<const N: usize>(
-        inputs: &MomentInputs<'_>,
-        v: &Vertices<N>,
-    ) -> ([[f64; N]; 2], [f64; N]) {
-        inputs.displacements::<8, N>(v)
+    fn body<W: LaneWork>(work: W) -> W::Output {
+        work.run()
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(inputs, v) }
+    unsafe { body(work) }
 }

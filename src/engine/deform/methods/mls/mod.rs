@@ -3,6 +3,7 @@
 
 pub(in crate::deform) mod falloff;
 mod fit;
+mod fitted_moments;
 pub(in crate::deform) mod geodesic;
 pub(in crate::deform) mod incomplete_beta;
 pub(in crate::deform) mod metric;
@@ -30,7 +31,8 @@ use crate::deform::point_map::{
 };
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handles, IsCancelled, Parameter, Parameters, Warning};
-use crate::geometry::Vec2;
+use crate::geometry::{Point, Vec2};
+use crate::level::SimdLevel;
 
 /// Sets of more points are posed by moments where rows are used once.
 const MANY_POINTS: usize = 128;
@@ -243,6 +245,10 @@ impl PointMap for MovingLeastSquares {
         Some(Arc::new(self.clone()))
     }
 
+    fn has_table(&self, set: &RestSet) -> bool {
+        !(self.prefers_moments(set) && MomentInputs::are_tiled(self.falloff))
+    }
+
     fn keeps_coefficients(&self, set: &RestSet) -> bool {
         // Of many points they exceed any memory, and moments take little longer than reading them.
         !self.prefers_moments(set)
@@ -268,16 +274,13 @@ impl PointMap for MovingLeastSquares {
 }
 
 impl<const N: usize> DisplacementsOf<N> for MomentInputs<'_> {
-    fn displacements(&self, v: &Vertices<N>, exact: bool) -> Option<Displacements<N>> {
-        if exact {
-            return None;
-        }
-        let (moved, rotation) = kernel::moments(self, v);
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "a quality number, compared with 0.1"
-        )]
-        let least = rotation.into_iter().fold(f64::INFINITY, f64::min) as f32;
-        Some((moved, least))
+    fn displacements(&self, _: &Vertices<N>) -> Option<Displacements<N>> {
+        None
+    }
+}
+
+impl PosedWithoutCoefficients for MomentInputs<'_> {
+    fn displaced(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 3]>> {
+        self.displaced_at(SimdLevel::detect(), places, cancelled)
     }
 }

@@ -3,10 +3,12 @@
 
 mod spline;
 mod system;
+mod tiled;
 
 use std::sync::Arc;
 
-use self::spline::{PosedSpline, Sites, Spline};
+use self::spline::{Sites, Spline};
+use self::tiled::TiledSpline;
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo, MethodSystem};
 use crate::deform::columns::{Rank, rank};
 use crate::deform::form::CoefficientForm;
@@ -18,7 +20,8 @@ use crate::deform::point_map::{
 };
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handle, Handles, IsCancelled, Parameter, Warning};
-use crate::geometry::Vec2;
+use crate::geometry::{Point, Vec2};
+use crate::level::SimdLevel;
 
 /// A spline of more sites has no table: a drag of this many frames takes about as long as its
 /// table alone.
@@ -184,7 +187,7 @@ impl PointMap for ThinPlateSpline {
         _exact: bool,
     ) -> Option<Box<dyn PosedWithoutCoefficients + 'a>> {
         let spline = self.spline.as_ref()?;
-        Some(Box::new(spline.posed(displacements)))
+        Some(Box::new(TiledSpline::new(spline.posed(displacements))))
     }
 
     fn left_out(&self, d: &[Vec2], cancelled: IsCancelled<'_>) -> Option<Option<Vec<Vec2>>> {
@@ -200,8 +203,14 @@ impl PointMap for ThinPlateSpline {
     }
 }
 
-impl<const N: usize> DisplacementsOf<N> for PosedSpline<'_> {
-    fn displacements(&self, v: &Vertices<N>, _exact: bool) -> Option<Displacements<N>> {
-        Some((self.displaced(v), 1.0))
+impl<const N: usize> DisplacementsOf<N> for TiledSpline<'_> {
+    fn displacements(&self, v: &Vertices<N>) -> Option<Displacements<N>> {
+        Some((self.posed.displaced_lanes(v), 1.0))
+    }
+}
+
+impl PosedWithoutCoefficients for TiledSpline<'_> {
+    fn displaced(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 3]>> {
+        self.displaced_at(SimdLevel::detect(), places, cancelled)
     }
 }

@@ -17,12 +17,14 @@ use crate::parallel::prelude::*;
 use super::system::{MAX_POLYNOMIALS, TpsSystem};
 use crate::deform::IsCancelled;
 use crate::deform::columns::PointSource;
+use crate::deform::kernel::{LaneWork, run_at};
 use crate::deform::lanes::{Coefficients, Vertices};
 use crate::geometry::lane_math::ln;
 use crate::geometry::{Point, Vec2};
+use crate::level::SimdLevel;
 
 /// Within this share of the sites' unit v lies on a handle.
-const SNAP_SHARE: f64 = 1e-12;
+pub(super) const SNAP_SHARE: f64 = 1e-12;
 
 /// A spline without its pose.
 #[derive(Debug)]
@@ -63,11 +65,11 @@ struct SplineFrame {
 pub(super) struct PosedSpline<'a> {
     spline: &'a Spline,
     /// The mean displacement of every site.
-    displacements: Vec<[f64; 2]>,
+    pub(super) displacements: Vec<[f64; 2]>,
     /// w.
-    weights: Vec<[f64; 2]>,
+    pub(super) weights: Vec<[f64; 2]>,
     /// A: of 1, x, y.
-    polynomials: [[f64; 2]; MAX_POLYNOMIALS],
+    pub(super) polynomials: [[f64; 2]; MAX_POLYNOMIALS],
 }
 
 impl Sites {
@@ -142,6 +144,7 @@ impl SplineFrame {
         Self { origin, tau, unit }
     }
 
+    #[inline(always)]
     fn take<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
         let Self { origin, tau, unit } = *self;
         let mut at = [[0.0; N]; 2];
@@ -273,6 +276,7 @@ impl Spline {
 
     /// The site on which each vertex lies. Only a spline without smoothing has values of its own
     /// there: rounding must not move a handle.
+    #[inline(always)]
     fn hits<const N: usize>(&self, at: &[[f64; N]; 2]) -> [Option<usize>; N] {
         let mut hits = [None; N];
         for site in 0..if self.interpolates { self.len() } else { 0 } {
@@ -347,8 +351,35 @@ impl Spline {
 }
 
 impl PosedSpline<'_> {
+    /// A position in the frame of the sites.
+    pub(super) fn in_frame(&self, place: Point) -> Point {
+        let [[x], [y]] = self.spline.frame.take(&Vertices::<1>::all(place));
+        Point::new(x, y)
+    }
+
+    /// The sites in their frame.
+    pub(super) fn sites(&self) -> impl Iterator<Item = Point> {
+        let each = self.spline.x.iter().zip(&self.spline.y);
+        each.map(|(x, y)| Point::new(*x, *y))
+    }
+
+    /// px in a unit of the frame.
+    pub(super) fn unit(&self) -> f64 {
+        self.spline.frame.unit
+    }
+
+    /// Whether f takes the handles to their targets.
+    pub(super) fn interpolates(&self) -> bool {
+        self.spline.interpolates
+    }
+
     /// `f(v) - v` of N vertices, px.
-    pub(super) fn displaced<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
+    pub(super) fn displaced_lanes<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
+        run_at(SimdLevel::detect(), SplineLanes { posed: self, v })
+    }
+
+    #[inline(always)]
+    fn displaced_inline<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
         let at = self.spline.frame.take(v);
         let [a, ax, ay] = self.polynomials;
         let mut moved = [[0.0; N]; 2];
@@ -358,7 +389,10 @@ impl PosedSpline<'_> {
             }
         }
         for (site, w) in self.weights.iter().enumerate() {
-            let u = self.spline.r2(site, &at).map(bending);
+            let mut u = self.spline.r2(site, &at);
+            for k in 0..N {
+                u[k] = bending(u[k]);
+            }
             for k in 0..N {
                 moved[0][k] += w[0] * u[k];
                 moved[1][k] += w[1] * u[k];
@@ -373,8 +407,23 @@ impl PosedSpline<'_> {
     }
 }
 
+/// The displacements of N vertices.
+struct SplineLanes<'a, const N: usize> {
+    posed: &'a PosedSpline<'a>,
+    v: &'a Vertices<N>,
+}
+
+impl<const N: usize> LaneWork for SplineLanes<'_, N> {
+    type Output = [[f64; N]; 2];
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.posed.displaced_inline(self.v)
+    }
+}
+
 /// U of a squared distance.
 #[inline(always)]
-fn bending(r2: f64) -> f64 {
+pub(super) fn bending(r2: f64) -> f64 {
     r2 * ln(r2)
 }
