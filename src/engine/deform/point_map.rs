@@ -117,8 +117,14 @@ pub(super) trait PosedWithoutCoefficients:
     DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync
 {
     /// `f(v) - v`, px, and |m| (rigid), else 1, of every position, in the precision of a table and
-    /// in parallel. `None` when cancelled.
-    fn displaced(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 3]>>;
+    /// in parallel. The outer `None`: cancelled; the inner: not faster than block after block.
+    fn displaced(
+        &self,
+        _places: &[Point],
+        _cancelled: IsCancelled<'_>,
+    ) -> Option<Option<Vec<[f32; 3]>>> {
+        Some(None)
+    }
 }
 
 /// A map whose value is known at any position.

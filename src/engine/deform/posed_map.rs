@@ -249,8 +249,12 @@ impl<'a> PosedMap<'a> {
         places: &[Point],
         cancelled: IsCancelled<'_>,
     ) -> Option<(Vec<[f32; 2]>, f32)> {
-        let single = if let Some(posed) = &self.without_coefficients {
-            posed.displaced(places, cancelled)?
+        let direct = match &self.without_coefficients {
+            Some(posed) => posed.displaced(places, cancelled)?,
+            None => None,
+        };
+        let single = if let Some(single) = direct {
+            single
         } else {
             let blocks: Option<Vec<Vec<[f32; 3]>>> = places
                 .par_chunks(LANES)

@@ -268,7 +268,7 @@ struct PosedVertices<'a> {
 }
 
 impl<const N: usize> DisplacementsOf<N> for PosedVertices<'_> {
-    fn displacements(&self, v: &Vertices<N>, _exact: bool) -> Option<Displacements<N>> {
+    fn displacements(&self, v: &Vertices<N>) -> Option<Displacements<N>> {
         let (mut x, mut y) = ([0.0; N], [0.0; N]);
         for lane in 0..N {
             let at = Point::new(v.x[lane], v.y[lane]);
@@ -278,3 +278,5 @@ impl<const N: usize> DisplacementsOf<N> for PosedVertices<'_> {
         Some(([x, y], 1.0))
     }
 }
+
+impl PosedWithoutCoefficients for PosedVertices<'_> {}

@@ -210,7 +210,12 @@ impl<const N: usize> DisplacementsOf<N> for TiledSpline<'_> {
 }
 
 impl PosedWithoutCoefficients for TiledSpline<'_> {
-    fn displaced(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 3]>> {
-        self.displaced_at(SimdLevel::detect(), places, cancelled)
+    fn displaced(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Option<Vec<[f32; 3]>>> {
+        let displaced = self.displaced_at(SimdLevel::detect(), places, cancelled);
+        displaced.map(Some)
     }
 }
