@@ -229,7 +229,16 @@ async fn a_blend_ends_when_its_client_leaves() {
         line.unwrap().parse::<u64>().unwrap()
     };
     let files: Vec<Vec<u8>> = (0..80).map(|k| photo(600 + k, 400)).collect();
-    let entry = |k: u32| json!({"image": k, "p": [[50, 50], [550 - k, 60], [300, 200 + k], [80, 350], [520, 340]]});
+    let places = |k: u32| {
+        json!([
+            [50, 50],
+            [550 - k, 60],
+            [300, 200 + k],
+            [80, 350],
+            [520, 340]
+        ])
+    };
+    let entry = |k: u32| json!({"image": k, "p": places(k)});
     let entries: Vec<Value> = (0..80).map(entry).collect();
     let parts: Vec<&[u8]> = files.iter().map(|file| &**file).collect();
     let request = victim

@@ -17,6 +17,8 @@ mod demand;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
+mod fold_free;
+#[forbid(unsafe_code)]
 mod form;
 #[forbid(unsafe_code)]
 mod groups;
@@ -68,6 +70,7 @@ pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, NotTaken, Warning};
+pub use fold_free::{FoldFree, FoldFreeError, MakeDeformation};
 pub use form::CoefficientForm;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};

@@ -16,6 +16,7 @@ mod grid;
 pub(crate) mod lane_math;
 mod mesh;
 mod subdivision;
+mod untangle;
 mod vec;
 
 pub use cell_tree::CellTree;
@@ -27,6 +28,7 @@ pub use folding::{Folding, Orientation};
 pub use grid::Grid;
 pub use mesh::Mesh;
 pub use subdivision::{SubdividedCell, Subdivision};
+pub use untangle::{Untangled, untangle};
 pub use vec::{Point, Vec2};
 
 /// Offset of a pixel's centre from its corner, px.

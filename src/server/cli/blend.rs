@@ -1,4 +1,5 @@
-//! `mlswarp blend IMAGE... [BLEND.json] -o OUT`: `POST /blend` without a server, with the same bytes.
+//! `mlswarp blend IMAGE... [BLEND.json] -o OUT`: `POST /blend` without a server, with the same
+//! bytes.
 
 use std::collections::HashMap;
 use std::ffi::OsStr;

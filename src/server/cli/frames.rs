@@ -34,8 +34,8 @@ impl Out {
         }
     }
 
-    /// Writes the file or the folder, part by part. `inputs`: files that must stay. Errors: Those of
-    /// `next`; what cannot be written.
+    /// Writes the file or the folder, part by part. `inputs`: files that must stay. Errors: Those
+    /// of `next`; what cannot be written.
     pub(super) fn write(
         self,
         out: &Path,

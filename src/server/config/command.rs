@@ -399,8 +399,8 @@ pub struct BatchArgs {
 #[derive(Args, Clone, Debug)]
 pub struct BlendArgs {
     /// Images, folders of images, and the blend object, as POST /blend takes it: that is the file
-    /// whose name ends in .json or whose content begins with `{`. Without `images` in it, all images
-    /// are blended, in their order. `-` reads standard input.
+    /// whose name ends in .json or whose content begins with `{`. Without `images` in it, all
+    /// images are blended, in their order. `-` reads standard input.
     #[arg(required = true, value_name = "IMAGE|BLEND.json")]
     pub files: Vec<PathBuf>,
     /// Landmark files, one for each image: files of the same names, or in the same order; a folder
@@ -449,9 +449,9 @@ pub struct BlendArgs {
     /// Show no progress on a terminal.
     #[arg(short = 'Q', long, display_order = 8)]
     pub quiet: bool,
-    /// Output file (.png, .jpg, .webp, .tif); for several frames an animation (.gif, .png or .apng);
-    /// archive (.zip) of pictures, landmarks and report.json, or a folder for the files of the
-    /// archive, which is created; `-` for standard output.
+    /// Output file (.png, .jpg, .webp, .tif); for several frames an animation (.gif, .png or
+    /// .apng); archive (.zip) of pictures, landmarks and report.json, or a folder for the files of
+    /// the archive, which is created; `-` for standard output.
     #[arg(short, long, value_name = "PATH", display_order = 8)]
     pub out: PathBuf,
 }

@@ -1,0 +1,340 @@
+//! Moves vertices of a posed mesh until no cell is folded (mathematics 9.3): the distortion of the
+//! cells around the folds is minimised, with a barrier that is lowered step by step. Regularised
+//! after Garanzha et al., "Foldover-free maps in 50 lines of code" (2021).
+
+mod minimise;
+
+use self::minimise::minimise;
+use super::{Grid, Mesh, Point, Vec2};
+
+/// A corner below this share of its area at rest is mended.
+const LEAST_CORNER: f64 = 1e-3;
+/// Rounds, and by how many cells the patches of each grow.
+const ROUNDS: u32 = 3;
+const CELLS_A_ROUND: u32 = 6;
+/// The weight of areas beside that of lengths.
+const AREA_WEIGHT: f64 = 0.1;
+/// The weight of a target, and its growth while it is missed by more than this, px.
+const TARGET_WEIGHT: f64 = 1e3;
+const WEIGHT_GROWTH: f64 = 4.0;
+const MOST_OFF: f64 = 0.05;
+/// Passes of one round; in the first ones, the barrier is halved at least.
+const PASSES: u32 = 20;
+const HALVING_PASSES: u32 = 10;
+/// A patch is mended when its least determinant is above this.
+const ENOUGH: f64 = 1e-4;
+/// Evaluations of the energy in all rounds. Ordinary folds need 60 to 270.
+const MOST_EVALUATIONS: u32 = 4000;
+
+/// A mended mesh.
+#[derive(Clone, Debug)]
+pub struct Untangled {
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Cells that were folded, or nearly.
+    pub mended: u64,
+    /// Evaluations of the distortion.
+    pub evaluations: u32,
+}
+
+/// Moves vertices near folded cells of a mesh without subdivided or cut cells, until none is folded
+/// or too much work is done; the others stay. `targets`: positions at rest, and where the mesh
+/// shall take them, px. `None` when cancelled.
+#[must_use]
+pub fn untangle(
+    mesh: &Mesh,
+    targets: &[(Point, Point)],
+    cancelled: &dyn Fn() -> bool,
+) -> Option<Untangled> {
+    let grid = *mesh.grid();
+    let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| (i, j)));
+    let mut places: Vec<Point> = vertices.map(|(i, j)| mesh.posed(i, j)).collect();
+    let (mut mended, mut evaluations) = (0, 0);
+    for round in 1..=ROUNDS {
+        let bad: Vec<[u32; 2]> = cells(&grid)
+            .filter(|cell| least_corner(&grid, &places, *cell) <= LEAST_CORNER)
+            .collect();
+        if round == 1 {
+            mended = bad.len() as u64;
+        }
+        if bad.is_empty() {
+            break;
+        }
+        let patch = FreePatch::around(&grid, &bad, CELLS_A_ROUND * round, targets);
+        evaluations = patch.mend(&mut places, evaluations, cancelled)?;
+    }
+    if mended == 0 {
+        return Some(Untangled {
+            mesh: mesh.clone(),
+            mended,
+            evaluations,
+        });
+    }
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "displacements are in single precision"
+    )]
+    let displacement = |(index, place): (usize, &Point)| {
+        let d = *place - at_rest(&grid, index);
+        [d.x as f32, d.y as f32]
+    };
+    let displacements = places.iter().enumerate().map(displacement).collect();
+    let mesh = Mesh::new(grid, displacements);
+    Some(Untangled {
+        mesh,
+        mended,
+        evaluations,
+    })
+}
+
+fn cells(grid: &Grid) -> impl Iterator<Item = [u32; 2]> + use<> {
+    let (columns, rows) = (grid.columns() - 1, grid.rows() - 1);
+    (0..rows).flat_map(move |j| (0..columns).map(move |i| [i, j]))
+}
+
+/// Indices of the corners of a cell, clockwise from the upper left one.
+fn corners(grid: &Grid, [i, j]: [u32; 2]) -> [usize; 4] {
+    let columns = grid.columns() as usize;
+    let first = j as usize * columns + i as usize;
+    [first, first + 1, first + columns + 1, first + columns]
+}
+
+fn at_rest(grid: &Grid, vertex: usize) -> Point {
+    let columns = grid.columns() as usize;
+    let of = |index: usize| u32::try_from(index).unwrap_or(u32::MAX);
+    Point::new(grid.x(of(vertex % columns)), grid.y(of(vertex / columns)))
+}
+
+/// Width and height of a cell at rest.
+fn size(grid: &Grid, [i, j]: [u32; 2]) -> [f64; 2] {
+    [grid.x(i + 1) - grid.x(i), grid.y(j + 1) - grid.y(j)]
+}
+
+/// The three vertices of each corner of a cell, and the lengths of both edges at rest.
+fn each_corner(grid: &Grid, cell: [u32; 2]) -> [([usize; 3], [f64; 2]); 4] {
+    let ([a, b, c, d], [width, height]) = (corners(grid, cell), size(grid, cell));
+    [
+        ([a, b, d], [width, height]),
+        ([b, c, a], [height, width]),
+        ([c, d, b], [width, height]),
+        ([d, a, c], [height, width]),
+    ]
+}
+
+fn least_corner(grid: &Grid, places: &[Point], cell: [u32; 2]) -> f64 {
+    let share = |([a, b, c], [u, v]): ([usize; 3], [f64; 2])| {
+        (places[b] - places[a]).cross(places[c] - places[a]) / (u * v)
+    };
+    let shares = each_corner(grid, cell).map(share);
+    shares.into_iter().fold(f64::INFINITY, f64::min)
+}
+
+/// A position in a cell as shares of its corners, and where it shall be.
+struct Aim {
+    corners: [usize; 4],
+    shares: [f64; 4],
+    place: Point,
+}
+
+impl Aim {
+    /// `None` outside of the grid.
+    fn new(grid: &Grid, rest: Point, place: Point) -> Option<Self> {
+        let (width, height) = grid.cell();
+        let last = |lines: u32| f64::from(lines - 2);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "within the grid"
+        )]
+        let line = |v: f64, cell: f64, lines: u32| (v / cell).clamp(0.0, last(lines)) as u32;
+        let cell = [
+            line(rest.x, width, grid.columns()),
+            line(rest.y, height, grid.rows()),
+        ];
+        let own = size(grid, cell);
+        let s = (rest.x - grid.x(cell[0])) / own[0];
+        let t = (rest.y - grid.y(cell[1])) / own[1];
+        let is_inside = [s, t].iter().all(|share| (0.0..=1.0).contains(share));
+        is_inside.then(|| Self {
+            corners: corners(grid, cell),
+            shares: [(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t],
+            place,
+        })
+    }
+
+    /// How far it is off.
+    fn off(&self, places: &[Point]) -> Vec2 {
+        let origin = self.place;
+        let terms = self.corners.iter().zip(self.shares);
+        terms.fold(Vec2::ZERO, |sum, (vertex, share)| {
+            sum + (places[*vertex] - origin) * share
+        })
+    }
+}
+
+/// The vertices that may move, and all cells that have one of them.
+struct FreePatch<'a> {
+    grid: &'a Grid,
+    /// Among the vertices that may move, the number of each.
+    free: Vec<Option<usize>>,
+    vertices: Vec<usize>,
+    cells: Vec<[u32; 2]>,
+    targets: Vec<Aim>,
+}
+
+impl<'a> FreePatch<'a> {
+    /// `rings`: how many cells from folded ones vertices may move.
+    fn around(grid: &'a Grid, bad: &[[u32; 2]], rings: u32, targets: &[(Point, Point)]) -> Self {
+        let mut free = vec![None; grid.len()];
+        for [i, j] in bad {
+            let lines =
+                |line: u32, all: u32| line.saturating_sub(rings)..=(line + 1 + rings).min(all - 1);
+            for y in lines(*j, grid.rows()) {
+                for x in lines(*i, grid.columns()) {
+                    free[y as usize * grid.columns() as usize + x as usize] = Some(0);
+                }
+            }
+        }
+        let mut vertices = Vec::new();
+        for (vertex, number) in free.iter_mut().enumerate() {
+            if let Some(number) = number {
+                *number = vertices.len();
+                vertices.push(vertex);
+            }
+        }
+        let touches = |corners: &[usize; 4]| corners.iter().any(|vertex| free[*vertex].is_some());
+        let cells = cells(grid).filter(|cell| touches(&corners(grid, *cell)));
+        let targets = targets
+            .iter()
+            .filter_map(|(rest, place)| Aim::new(grid, *rest, *place));
+        Self {
+            cells: cells.collect(),
+            targets: targets.filter(|target| touches(&target.corners)).collect(),
+            grid,
+            free,
+            vertices,
+        }
+    }
+
+    /// Moves the vertices; returns the evaluations so far. `None` when cancelled.
+    fn mend(
+        &self,
+        places: &mut [Point],
+        mut evaluations: u32,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<u32> {
+        let mut weight = TARGET_WEIGHT;
+        let mut least = self.least(places);
+        let floor = |least: f64, floor: f64| (floor + 0.04 * least.min(0.0).powi(2)).sqrt();
+        let (mut barrier, mut before) = (floor(least, 1e-6).max(1e-3), f64::INFINITY);
+        for pass in 0..PASSES {
+            let mut x: Vec<Vec2> = self.positions(places);
+            let mut energy = |x: &[Vec2], slope: &mut [Vec2]| {
+                self.put(x, places);
+                self.energy(places, barrier, weight, slope)
+            };
+            let spare = MOST_EVALUATIONS.saturating_sub(evaluations);
+            let (after, spent) = minimise(&mut energy, &mut x, spare, cancelled)?;
+            evaluations += spent;
+            self.put(&x, places);
+            least = self.least(places);
+            let off = self.targets.iter().map(|target| target.off(places).norm());
+            let is_off = off.fold(0.0, f64::max) > MOST_OFF;
+            if (least > ENOUGH && !is_off) || evaluations >= MOST_EVALUATIONS {
+                break;
+            }
+            if is_off {
+                weight *= WEIGHT_GROWTH;
+            }
+            barrier = if pass < HALVING_PASSES {
+                (barrier / 2.0).min(floor(least, 1e-12))
+            } else {
+                let gained = (1.0 - after / before).max(0.1);
+                let goal = (1.0 - if gained.is_finite() { gained } else { 0.1 })
+                    * softened(least, barrier)[0];
+                if least < goal {
+                    2.0 * (goal * (goal - least)).sqrt()
+                } else {
+                    1e-9
+                }
+            };
+            before = after;
+        }
+        Some(evaluations)
+    }
+
+    fn positions(&self, places: &[Point]) -> Vec<Vec2> {
+        let of = |vertex: &usize| places[*vertex] - Point::default();
+        self.vertices.iter().map(of).collect()
+    }
+
+    fn put(&self, x: &[Vec2], places: &mut [Point]) {
+        for (vertex, x) in self.vertices.iter().zip(x) {
+            places[*vertex] = Point::default() + *x;
+        }
+    }
+
+    fn least(&self, places: &[Point]) -> f64 {
+        let cells = self.cells.iter();
+        let least = cells.map(|cell| least_corner(self.grid, places, *cell));
+        least.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The distortion of all cells and the distances from targets, and its slope by each vertex.
+    fn energy(&self, places: &[Point], barrier: f64, weight: f64, slope: &mut [Vec2]) -> f64 {
+        slope.fill(Vec2::ZERO);
+        let mut add = |vertex: usize, d: Vec2| {
+            if let Some(number) = self.free[vertex] {
+                slope[number] += d;
+            }
+        };
+        let mut sum = 0.0;
+        for cell in &self.cells {
+            for ([a, b, c], lengths) in each_corner(self.grid, *cell) {
+                let [u, v] = [
+                    (places[b] - places[a]) * (1.0 / lengths[0]),
+                    (places[c] - places[a]) * (1.0 / lengths[1]),
+                ];
+                let (energy, [du, dv]) = distortion(u, v, barrier);
+                let (du, dv) = (du * (1.0 / lengths[0]), dv * (1.0 / lengths[1]));
+                sum += energy;
+                add(b, du);
+                add(c, dv);
+                add(a, -(du + dv));
+            }
+        }
+        for target in &self.targets {
+            let off = target.off(places);
+            sum += 0.5 * weight * off.norm2();
+            for (vertex, share) in target.corners.iter().zip(target.shares) {
+                add(*vertex, off * (weight * share));
+            }
+        }
+        sum
+    }
+}
+
+/// A determinant without its sign: near itself where it is positive, small and positive where it is
+/// not; and its slope.
+fn softened(det: f64, barrier: f64) -> [f64; 2] {
+    let root = (barrier * barrier + det * det).sqrt();
+    let soft = if det > 0.0 {
+        0.5 * (det + root)
+    } else {
+        // Without cancellation.
+        barrier * barrier / (2.0 * (root - det))
+    };
+    [soft, soft / root]
+}
+
+/// The distortion of a corner with these edges, in units of those at rest, and its slopes.
+fn distortion(u: Vec2, v: Vec2, barrier: f64) -> (f64, [Vec2; 2]) {
+    let det = u.cross(v);
+    let [soft, slope] = softened(det, barrier);
+    let size = 0.5 * (u.norm2() + v.norm2()) + 0.5 * AREA_WEIGHT * (det * det + 1.0);
+    let energy = size / soft;
+    let by_det = AREA_WEIGHT * det / soft - energy * slope / soft;
+    let du = u * (1.0 / soft) + Vec2::new(v.y, -v.x) * by_det;
+    let dv = v * (1.0 / soft) + Vec2::new(-u.y, u.x) * by_det;
+    (energy, [du, dv])
+}
