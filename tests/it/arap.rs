@@ -68,7 +68,7 @@ async fn a_puppet_bends_one_leg() {
     let server = Server::start(&[]).await;
     let image = legs();
     let drawn = server.upload("/warp", &image, &puppet()).await;
-    assert_eq!(header(&drawn, "warp-warning"), "");
+    assert!(drawn.headers().get("warp-warning").is_none());
     assert_eq!(header(&drawn, "warp-folds"), "0");
     assert!(header(&drawn, "warp-residual").parse::<f64>().unwrap() < 0.05);
     let drawn = png(drawn).await;
@@ -84,7 +84,7 @@ async fn a_puppet_bends_one_leg() {
     let line = json!({"p": [[[10, 10], [85, 10]], [25, 65]], "q": [[[10, 12], [80, 8]], [30, 60]],
         "method": "arap"});
     let full = server.upload("/warp", &photo(96, 72), &line).await;
-    assert_eq!(header(&full, "warp-warning"), "");
+    assert!(full.headers().get("warp-warning").is_none());
     png(full).await;
 }
 
@@ -124,7 +124,7 @@ async fn a_session_answers_as_the_image_alone_does() {
     let report = json_of(post("report", posed.clone()).await).await;
     assert_eq!(report["folds"]["cells"], 0);
     assert!(
-        report["round_trip"]["distance"]["max"].as_f64().unwrap() < 1e-4,
+        report["round_trip"]["max"].as_f64().unwrap() < 1e-4,
         "{report}"
     );
     for body in [json!({"q": q()}), json!({"q": q(), "direction": "forward"})] {
@@ -259,7 +259,8 @@ async fn hostile_masks_and_many_handles_are_refused_or_bounded() {
         let answer = server.upload("/warp", &hostile(kind), &few).await;
         problem(answer, 422, "too_many_vertices").await;
     }
-    let many: Value = (0..3000).map(|k| json!([k % 60, 20 * k / 3000])).collect();
+    let at = |k: u16| json!([1.5 * f64::from(k % 60), 0.39 * f64::from(k / 60)]);
+    let many: Value = (0..3000).map(at).collect();
     let warp = json!({"p": many, "q": many, "method": "arap"});
     let refused = problem(
         server.upload("/warp", &legs(), &warp).await,

@@ -75,7 +75,7 @@ fn sample(name: &str) -> Value {
         "format" => json!("pts+csv"),
         "unmatched" => json!({"p": ["c"], "q": []}),
         // Its fields belong to one method.
-        "beier_neely" | "arap" => json!({}),
+        "beier_neely" | "arap" | "mask" => json!({}),
         // They belong to landmark files.
         "match" | "item" => Value::Null,
         other => panic!("`{other}` is new: say here what it may hold"),
