@@ -3,6 +3,11 @@
 //! possible to itself turned as in the first step. All in displacements, so that the identity is
 //! exact.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over corners and triangles are written alike, whatever they index"
+)]
+
 use super::dissection::Dissection;
 use super::fronts::{Factor, MatrixEntry, SolveSpace, eliminate};
 use crate::geometry::Vec2;
@@ -226,7 +231,7 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         eliminate(&mut held.compliance.0, count, count, pivots, cancelled)?;
         if pivots
             .iter()
-            .any(|pivot| !(*pivot >= DEPENDENT_SHARE * mean))
+            .any(|pivot| pivot.is_nan() || *pivot < DEPENDENT_SHARE * mean)
         {
             let softness = SOFT_SHARE * mean;
             for k in 0..count {
