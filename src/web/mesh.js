@@ -196,12 +196,10 @@ export class Mesh {
   /**
    * Folded cells as [i, j]: their orientation is not that of most of the area at rest, or the cross
    * products at their corners have several signs. The server uses the same rule: a mirror image has
-   * no folds. `isCut`: beside an outline nothing is drawn, and its vertices rest: their cells do not
-   * count.
-   * @param {boolean} [isCut]
+   * no folds.
    * @returns {Page.Place[]}
    */
-  folded(isCut = false) {
+  folded() {
     const { columns, rows } = this.grid;
     const m = this.places;
     const [signs, areas] = [new Int8Array((columns - 1) * (rows - 1)), [0, 0, 0]];
@@ -223,32 +221,10 @@ export class Mesh {
     const whole = areas[0] > areas[2] ? -1 : 1;
     /** @type {Page.Place[]} */
     const cells = [];
-    signs.forEach((sign, k) => {
-      const [i, j] = [k % (columns - 1), Math.floor(k / (columns - 1))];
-      if (sign !== whole && !(isCut && this.#rests(i, j))) cells.push([i, j]);
-    });
-    return cells;
-  }
-
-  /**
-   * Whether a corner of a cell is where it was.
-   * @param {number} i
-   * @param {number} j
-   */
-  #rests(i, j) {
-    const rest = [this.restX(i), this.restX(i + 1), this.restY(j), this.restY(j + 1)].map(
-      Math.fround,
+    signs.forEach(
+      (sign, k) => sign === whole || cells.push([k % (columns - 1), Math.floor(k / (columns - 1))]),
     );
-    const around = /** @type {const} */ ([
-      [0, 0],
-      [1, 0],
-      [0, 1],
-      [1, 1],
-    ]);
-    return around.some(([right, down]) => {
-      const [x, y] = this.posed(i + right, j + down);
-      return x === rest[right] && y === rest[2 + down];
-    });
+    return cells;
   }
 
   /**

@@ -30,7 +30,10 @@ export class View {
   /** @type {Page.Mesh | null} */
   mesh = null;
   folds = 0;
-  /** Whether the meshes are cut along an outline. */
+  /**
+   * Whether meshes are cut along an outline: then a place of the grid may have several vertices, and
+   * where they fold is known to the server alone.
+   */
   isCut = false;
 
   /** @type {Page.Outside} */
@@ -295,7 +298,7 @@ export class View {
   #setMesh(mesh) {
     if (mesh === this.mesh) return;
     this.mesh = mesh;
-    this.#folded = mesh ? mesh.folded(this.isCut) : [];
+    this.#folded = mesh && !this.isCut ? mesh.folded() : [];
     this.folds = this.#folded.length;
   }
 
@@ -562,7 +565,7 @@ export class View {
     else if (inLive && this.source === "frame") this.#drawFrame(inLive);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
-    const folded = this.#played ? this.#played.folded(this.isCut) : this.#folded;
+    const folded = this.#played && !this.isCut ? this.#played.folded() : this.#folded;
     const drawn = mesh && !this.#show.peek && (this.#show.lines || folded.length > 0);
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     if (mesh && drawn)
