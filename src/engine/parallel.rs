@@ -75,17 +75,4 @@ pub(crate) mod prelude {
     }
 
     impl<I: Iterator> Parallel for I {}
-
-    /// Named as rayon's, which takes the start of a sum as a function.
-    pub(crate) trait Options<T>: Iterator<Item = Option<T>> + Sized {
-        fn try_reduce(
-            mut self,
-            start: impl FnOnce() -> T,
-            add: impl Fn(T, T) -> Option<T>,
-        ) -> Option<T> {
-            self.try_fold(start(), |sum, item| add(sum, item?))
-        }
-    }
-
-    impl<T, I: Iterator<Item = Option<T>>> Options<T> for I {}
 }

@@ -8,8 +8,7 @@ use mlswarp::Warper;
 use mlswarp::geometry::Orientation;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
-    Image, Limits, OutputSpec, PosedMesh, RasterSource, Region, RenderJob, Report, ResolvedRest,
-    choose,
+    Image, Limits, OutputSpec, PosedMesh, RasterSource, Region, RenderJob, Report, RestMask,
 };
 use mlswarp_contract::problem::{Code, Problem};
 use mlswarp_contract::wire::landmarks::{Choice, LandmarkFiles};
@@ -34,26 +33,15 @@ pub(crate) fn output(warp: &[u8]) -> Result<OutputSpec, Problem> {
     Ok(object(warp)?.output)
 }
 
-/// Replaces `method: auto` by the best candidate.
-fn settle_method(object: &mut WarpObject, extent: Extent) -> Result<(), Problem> {
-    if !object.is_auto {
-        return Ok(());
-    }
-    object.require_choice()?;
-    let (rest, q) = (&object.rest, object.posed()?);
-    let chosen = choose(rest, q, extent, MOST_FIT_HANDLES, &|| false)?;
-    object.choose(chosen);
-    Ok(())
-}
-
 /// Handles at rest on an image of a size.
 pub(crate) fn plan(warp: &[u8], size: [u32; 2]) -> Result<Warper, Problem> {
     let mut object = object(warp)?;
     if object.is_auto
         && let Some(extent) = Extent::new(size[0], size[1])
     {
-        object.settle_pose(extent)?;
-        settle_method(&mut object, extent)?;
+        object.resolve(None, extent, &Limits::default(), MOST_FIT_HANDLES, &|| {
+            false
+        })?;
     }
     let plan = Warper::builder::<[f64; 2]>(&[])
         .with(|rest| *rest = object.rest)
@@ -97,9 +85,11 @@ pub(crate) fn warp(file: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Ve
     let subject = RasterSource::Image(&image);
     subject.check(&object.output)?;
     object.output.check(extent, &limits)?;
-    object.settle_pose(extent)?;
-    settle_method(&mut object, extent)?;
-    let rest = ResolvedRest::new(&object.rest, extent, &limits)?;
+    if object.rest.needs_mask() {
+        let threshold = object.rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
+        object.rest.mask = RestMask::of_image(&image, region.as_ref(), threshold, &|| false);
+    }
+    let rest = object.resolve(None, extent, &limits, MOST_FIT_HANDLES, &|| false)?;
     let pose = rest.pose(object.posed()?)?;
     let posed = PosedMesh::new(&rest, &rest.plan(), &pose, object.folds, &|| false)?;
     let posed = match region {
