@@ -1,8 +1,8 @@
 //! Length-limited prefix codes, and how files send their lengths (RFC 1951, 3.2.2 and 3.2.7; RFC
 //! 9649, 3.7.2.1, is the same but for the order). Lengths come from Huffman's algorithm with two
-//! queues over sorted weights, then the Kraft sum is corrected at the limit; codes are canonical and
-//! stored bit-reversed, as both formats send them. Cost: one sort of at most 286 weights, about 10
-//! us.
+//! queues over sorted weights, then the Kraft sum is corrected at the limit; codes are canonical
+//! and stored bit-reversed, as both formats send them. Cost: one sort of at most 286 weights, about
+//! 10 us.
 
 use super::bits::BitWriter;
 

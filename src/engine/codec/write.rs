@@ -1,6 +1,6 @@
 //! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several
-//! strips, rendered and encoded in parallel and sent in order; the other formats are one strip: WebP
-//! has its codes before the first pixel. Of grey pixels one sample is written, except in WebP,
+//! strips, rendered and encoded in parallel and sent in order; the other formats are one strip:
+//! WebP has its codes before the first pixel. Of grey pixels one sample is written, except in WebP,
 //! which has none.
 
 use std::borrow::Cow;

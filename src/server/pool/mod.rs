@@ -48,8 +48,8 @@ pub enum PoolError {
     Panicked,
 }
 
-/// Niceness of upload threads, and of the threads of parallel computations: beside a drag thread on the same processor they get about a quarter
-/// of the processor, otherwise all of it.
+/// Niceness of upload threads, and of the threads of parallel computations: beside a drag thread on
+/// the same processor they get about a quarter of the processor, otherwise all of it.
 const UPLOAD_NICENESS: i32 = 5;
 
 /// How long a job runs before it gives way to a client that has used less. Drags that are drawn in

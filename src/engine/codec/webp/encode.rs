@@ -1,6 +1,7 @@
 //! Writes the bitstream of a lossless WebP (RFC 9649, section 3): two transforms for the whole
 //! picture (the green is subtracted from the other colours, and each pixel from the one below it),
-//! one prefix code a channel, and runs of equal residuals. No colour cache, no search for matches, one group of codes.
+//! one prefix code a channel, and runs of equal residuals. No colour cache, no search for matches,
+//! one group of codes.
 //!
 //! The codes come before the first pixel, so every row is predicted twice: once to count, once to
 //! write. That costs less than keeping four bytes a pixel. Memory: three rows.
@@ -42,7 +43,7 @@ pub(super) fn encode(
     out: &mut Vec<u8>,
     wanted: &dyn Fn() -> bool,
 ) {
-    let mut counts = Counts::default();
+    let mut counts = SymbolCounts::default();
     if !each_residual_row(extent, channels, samples, wanted, |row| counts.add(row)) {
         return;
     }
@@ -188,12 +189,12 @@ const fn run_symbol(length: usize) -> (usize, u64, u32) {
 }
 
 /// How often each symbol occurs.
-struct Counts {
+struct SymbolCounts {
     green: [u32; GREEN_SYMBOLS],
     others: [[u32; 256]; 3],
 }
 
-impl Default for Counts {
+impl Default for SymbolCounts {
     fn default() -> Self {
         Self {
             green: [0; GREEN_SYMBOLS],
@@ -210,7 +211,7 @@ struct ChannelCodes {
     alpha: Codes<256>,
 }
 
-impl Counts {
+impl SymbolCounts {
     fn add(&mut self, row: &[Pixel]) {
         each_token(
             row,
@@ -277,13 +278,13 @@ struct PixelCoder {
 }
 
 /// Bits on their way to the file, in registers; see [`BitWriter`].
-struct Stage<'a> {
+struct StagedBits<'a> {
     bits: BitWriter,
     bytes: &'a mut [u8],
     at: usize,
 }
 
-impl Stage<'_> {
+impl StagedBits<'_> {
     /// Appends the low `length <= 56` bits of `code`: eight bytes are written, of which those count
     /// that are full.
     #[inline(always)]
@@ -305,7 +306,7 @@ impl PixelCoder {
         // At most 56 bits a pixel, and eight bytes at the last one.
         let start = out.len();
         out.resize(start + row.len() * 7 + 16, 0);
-        let mut stage = Stage {
+        let mut stage = StagedBits {
             bits: *bits,
             bytes: &mut out[start..],
             at: 0,
