@@ -53,6 +53,13 @@ def test_files_of_other_formats_too(server, cat, output):
     assert mlswarp.warp_file(cat, json.dumps(warp), region=mask) == with_region
 
 
+def test_what_follows_the_outline_of_the_image(server):
+    image = (ROOT / "tests/images/horse-cutout.png").read_bytes()
+    warp = json.loads((ROOT / "api/examples/giraffe.json").read_text())
+    warp = {"p": warp["p"], "q": warp["q"], "metric": "geodesic"}
+    assert mlswarp.warp_file(image, warp) == server.upload("/warp", image=image, warp=warp)[2]
+
+
 def test_a_method_that_is_chosen(server, cat):
     warp = {"p": P[:3] + [[10, 10], [440, 20]], "q": Q[:3] + [[10, 12], [440, 20]]}
     warp["method"] = "auto"

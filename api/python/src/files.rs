@@ -7,7 +7,7 @@ use bytes::Bytes;
 use mlswarp::Cancel;
 use mlswarp::codec::{self, ImageLimits, StepCounter};
 use mlswarp::warp::{
-    Image, PosedMesh, RasterSource, Region, RenderJob, Stage, WarpError, WriteObserver,
+    Image, PosedMesh, RasterSource, Region, RenderJob, RestMask, Stage, WarpError, WriteObserver,
     check_comparison,
 };
 use mlswarp_contract::problem::{Code, Problem};
@@ -62,6 +62,11 @@ fn draw(
     let subject = RasterSource::Image(&image);
     subject.check(&object.output)?;
     object.output.check(extent, &limits)?;
+    if object.rest.needs_mask() {
+        let threshold = object.rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
+        let mask = RestMask::of_image(&image, region.as_ref(), threshold, &is_cancelled);
+        object.rest.mask = mask;
+    }
     let setup = object.resolve(None, extent, &limits, MOST_FIT_HANDLES, &is_cancelled)?;
     let pose = setup.pose(object.posed()?)?;
     let plan = setup.plan_unless(&is_cancelled)?;
