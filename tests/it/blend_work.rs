@@ -75,11 +75,8 @@ fn of_light(value: f64) -> f64 {
 
 /// The sum of warped images in double precision, by the two rules of the contract.
 fn sum(warped: &[Vec<[f64; 4]>], weights: &[f64], is_linear: bool) -> Vec<[f64; 4]> {
-    let (decode, encode): (fn(f64) -> f64, fn(f64) -> f64) = if is_linear {
-        (to_light, of_light)
-    } else {
-        (|value| value, |value| value)
-    };
+    let decode = |value| if is_linear { to_light(value) } else { value };
+    let encode = |value| if is_linear { of_light(value) } else { value };
     let is_difference = weights.iter().any(|weight| *weight < 0.0);
     let pixel = |k: usize| {
         let (mut colour, mut alpha) = ([0.0; 3], f64::from(u8::from(is_difference)));

@@ -76,6 +76,7 @@ fn sample(name: &str) -> Value {
         "unmatched" => json!({"p": ["c"], "q": []}),
         // Its fields belong to one method.
         "beier_neely" | "arap" | "mask" => json!({}),
+        "metric" => json!("euclidean"),
         // They belong to landmark files.
         "match" | "item" => Value::Null,
         other => panic!("`{other}` is new: say here what it may hold"),

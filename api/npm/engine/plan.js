@@ -4,7 +4,7 @@ import { Held, inUse } from "./instance.js";
 import { Pose } from "./pose.js";
 
 /** @typedef {[number, number] | [number, number][]} Handle a point, a line or a polyline; px */
-/** @typedef {"rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely"} Method */
+/** @typedef {"rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely" | "arap"} Method */
 /**
  * The fields of a warp object that poses share; api/openapi.json describes them.
  *

@@ -37,7 +37,7 @@ const INDEX_BITS: u32 = 31;
 /// What is summed, as a function of the squared distance.
 pub(super) trait RadialKernel: Copy + Debug + Send + Sync {
     /// Replaces every squared distance, which is positive.
-    fn of_squares(self, squares: &mut [f64]);
+    fn weights_from_squares(self, squares: &mut [f64]);
 }
 
 /// A position and what the kernel there is multiplied by.
@@ -430,7 +430,7 @@ fn add_sources<K: RadialKernel, const SUMS: usize>(
         for (w, source) in weights.iter_mut().zip(sources) {
             *w = squared_distances(source.p, x, y);
         }
-        kernel.of_squares(weights[..sources.len()].as_flattened_mut());
+        kernel.weights_from_squares(weights[..sources.len()].as_flattened_mut());
         let mut at = *sums;
         for (w, source) in weights.iter().zip(sources) {
             for s in 0..SUMS {

@@ -72,7 +72,7 @@ enum MomentTiles {
 
 impl RadialKernel for Falloff {
     #[inline(always)]
-    fn of_squares(self, squares: &mut [f64]) {
+    fn weights_from_squares(self, squares: &mut [f64]) {
         self.apply_to_squared(squares);
     }
 }

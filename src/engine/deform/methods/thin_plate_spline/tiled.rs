@@ -30,7 +30,7 @@ const NODES: [f64; TILE_NODES] = [
 ];
 /// What is far, in halves of the side of a tile, and how much U of it is off at most, in squares of
 /// that half.
-const FAR: [(f64, f64); 3] = [(3.5, 1.3e-9), (5.0, 1.5e-11), (7.0, 7e-13)];
+const ERROR_BY_DISTANCE: [(f64, f64); 3] = [(3.5, 1.3e-9), (5.0, 1.5e-11), (7.0, 7e-13)];
 /// The largest half in which something is far, in units of the sites.
 const LARGEST_HALF: f64 = 1.0;
 /// The largest difference to the plain sum, px; splines with weights that are too large for it are
@@ -47,7 +47,7 @@ struct Bending;
 
 impl RadialKernel for Bending {
     #[inline(always)]
-    fn of_squares(self, squares: &mut [f64]) {
+    fn weights_from_squares(self, squares: &mut [f64]) {
         for r2 in squares {
             *r2 = bending(*r2);
         }
@@ -105,7 +105,7 @@ impl<'a> TiledSpline<'a> {
             .iter()
             .map(|[x, y]| x.abs() + y.abs())
             .sum();
-        let far = FAR
+        let far = ERROR_BY_DISTANCE
             .iter()
             .find(|(_, off)| off * total * LARGEST_HALF * LARGEST_HALF <= MOST_OFF);
         let weighted = self.posed.sites().zip(&self.posed.weights);
