@@ -121,10 +121,10 @@ async fn warp_objects() {
             Some("/method"),
         ),
         (
-            r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "arap"}"#,
+            r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "beier_neely"}"#,
             422,
             "not_supported",
-            Some("/method"),
+            Some("/p/0"),
         ),
         (
             r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps", "smoothing": -1}"#,

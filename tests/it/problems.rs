@@ -340,6 +340,9 @@ async fn the_page_shows_what_is_said() {
     )
     .await;
     same("not_found", server.get("/wrap")).await;
+    let without_image = json!({"extent": [16, 12], "p": [[1, 1]], "q": [[2, 1]], "points": [[3, 3]],
+        "method": "arap"});
+    same("not_supported", server.post("/points").json(&without_image)).await;
     same(
         "no_such_session",
         server.get("/sessions/0f8fad5b-d9cb-469f-a165-70867728950e"),
@@ -393,7 +396,6 @@ async fn the_page_shows_what_is_said() {
     let apart = with(&with(&six, 2, json!([130, 60])), 5, json!([144, 60]));
     let cases = [
         ("too_large", json!({"output": {"width": 20_000}})),
-        ("not_supported", json!({"method": "arap"})),
         ("unknown_field", json!({"grid": {"cells": 5}})),
         ("bad_value", json!({"p": with(&six, 3, json!([1]))})),
         (
@@ -484,6 +486,9 @@ async fn the_page_shows_what_is_said() {
     };
     same("outside_mask", inside(&half, json!({}))).await;
     same("empty_mask", inside(&half, json!({"threshold": 1}))).await;
+    let fine = json!({"p": [[100, 100]], "q": [[120, 100]], "method": "arap", "arap": {"cell": 2}});
+    let fine = form(&photo(520, 520), fine.to_string());
+    same("too_many_vertices", server.post("/warp").multipart(fine)).await;
     same("no_table", server.get(&format!("/sessions/{spline}/plan"))).await;
     same(
         "misdirected",

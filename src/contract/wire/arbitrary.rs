@@ -6,7 +6,7 @@ use mlswarp::deform::{Coincident, Handle, METHODS, Parameter, Parameters};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, GridSpec, OutputSpec, RestSpec};
+use mlswarp::warp::{CanvasSpec, GridSpec, Method, Metric, OutputSpec, RestSpec};
 use proptest::prelude::*;
 
 use super::{EnumName, WarpObject};
@@ -37,7 +37,15 @@ fn own() -> impl Strategy<Value = Parameters> {
             .iter()
             .zip(shares)
             .fold(Parameters::default(), |own, (parameter, share)| {
-                let value = share.map(|t: f64| parameter.least + t * (1.0 - parameter.least));
+                let most = parameter.least.max(1.0) + 6.0;
+                let value = share.map(|t: f64| {
+                    let value = parameter.least + t * (parameter.most.min(most) - parameter.least);
+                    if parameter.rule.contains("a whole number") {
+                        value.round()
+                    } else {
+                        value
+                    }
+                });
                 own.with_some(parameter.path, value)
             })
     })
@@ -66,10 +74,16 @@ fn rest() -> impl Strategy<Value = RestSpec> {
     (
         prop::collection::vec(handle(), 0..6),
         weights,
-        all(),
+        all::<Method>(),
         numbers,
         coincident,
-        (all(), grid, all(), all(), prop::option::of(0.0..=1.0)),
+        (
+            all(),
+            grid,
+            all(),
+            all::<Metric>(),
+            prop::option::of(0.0..=1.0),
+        ),
     )
         .prop_map(
             |(
@@ -80,6 +94,9 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                 coincident,
                 (units, grid, align, metric, mask_threshold),
             )| RestSpec {
+                // Who needs no mask has no threshold of one.
+                mask_threshold: mask_threshold
+                    .filter(|_| metric == Metric::Geodesic || method.info().mesh.is_some()),
                 p,
                 weights,
                 method,
@@ -88,7 +105,6 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                 smoothing,
                 own,
                 metric,
-                mask_threshold,
                 mask: None,
                 coincident,
                 units,

@@ -305,13 +305,14 @@ impl BlendEntry {
             return Err(pairs.problem(Code::BadValue, detail));
         }
         let p = optional(p, handles)?;
-        let count = p.as_ref().map_or(0, Vec::len);
+        // The handles of a session are not known here.
+        let count = p.as_ref().map(Vec::len);
         let name = |_, item: Node<'_, '_>| item.string("a name");
         let of_names = |node: &Node<'_, '_>| {
             let names = node.list(NAMES, NAME_TEXT, name)?;
-            if names.len() == count {
+            let Some(count) = count.filter(|count| *count != names.len()) else {
                 return Ok(names);
-            }
+            };
             let detail = format!("`names` has {}, but `p` has {count}", names.len());
             Err(node.problem(Code::ShapeMismatch, detail))
         };

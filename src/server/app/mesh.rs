@@ -107,28 +107,27 @@ pub(crate) async fn of_session(
     form: MeshForm,
 ) -> Result<PoseResponse, Problem> {
     let request = app.sessions.sequence(id, drag.seq).await?;
-    let plan = app
-        .sessions
-        .unless_superseded(&request, admit_mesh(app, client, &request.record, &form))
-        .await?;
-    let q = posed(&plan.ticket, &request.record, drag).await?;
+    let plan = admit_mesh(app, client, Arc::clone(&request.record), &form);
+    let (record, plan) = app.sessions.unless_superseded(&request, plan).await?;
+    let q = posed(&plan.ticket, &record, drag).await?;
     let quota = app.admission.response_quota(client);
-    pose_mesh(app, plan, q, &request.record, form, quota).await
+    pose_mesh(app, plan, q, &record, form, quota).await
 }
 
-/// The plan of a session for a mesh.
+/// The plan of a session for a mesh, and the record that it is of: the newest, if the files of a
+/// mask are gone.
 pub(crate) async fn admit_mesh(
     app: &App,
     client: Client,
-    record: &Arc<Record>,
+    record: Arc<Record>,
     form: &MeshForm,
-) -> Result<AdmittedPlan, Problem> {
-    let (_, setup) = newest_setup(app, client, Arc::clone(record)).await?;
+) -> Result<(Arc<Record>, AdmittedPlan), Problem> {
+    let (record, setup) = newest_setup(app, client, record).await?;
     form.check_size(setup.dimensions())?;
-    let ticket = admit_step(app, client, record, &setup, true).await?;
+    let ticket = admit_step(app, client, &record, &setup, true).await?;
     let timing = Timing::queued(ticket.waited());
     let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
-    Ok(AdmittedPlan { ticket, planned })
+    Ok((record, AdmittedPlan { ticket, planned }))
 }
 
 /// Poses the grid and encodes it.

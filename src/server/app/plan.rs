@@ -1,6 +1,7 @@
 //! `GET /sessions/{id}/plan`: the coefficients of a session on a lattice, for clients that pose by
 //! themselves.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -15,6 +16,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
+use crate::store::Record;
 use crate::wire::{PlanQuery, Precision, plan_file, plan_file_bytes};
 
 /// Maximum size of the file, bytes: 50 x 50 vertices and all columns that a session may have take
@@ -53,17 +55,7 @@ pub(crate) async fn of_session(
     with_content: bool,
 ) -> Result<PlanFile, Problem> {
     let record = app.sessions.peek(id).await?.record;
-    let PlanQuery {
-        columns,
-        rows,
-        precision,
-    } = query;
-    let rest = app.sessions.text_of(client, &record).await?.rest_digest;
-    let shape = format!(
-        "{} {rest} {columns} {rows} {precision:?}",
-        env!("CARGO_PKG_VERSION")
-    );
-    let etag = format!("\"{}\"", Digest::of(shape.as_bytes()));
+    let etag = etag(app, client, &record, query).await?;
     // Nobody has the tag of a table that is refused.
     if is_known(&etag) {
         return Ok(PlanFile {
@@ -71,7 +63,20 @@ pub(crate) async fn of_session(
             content: PlanContent::Known,
         });
     }
-    let (record, setup) = newest_setup(app, client, record).await?;
+    let (newest, setup) = newest_setup(app, client, Arc::clone(&record)).await?;
+    let etag = if newest.revision == record.revision {
+        etag
+    } else {
+        self::etag(app, client, &newest, query).await?
+    };
+    let (
+        record,
+        PlanQuery {
+            columns,
+            rows,
+            precision,
+        },
+    ) = (newest, query);
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
     let mut timing = Timing::queued(ticket.waited());
@@ -108,6 +113,26 @@ pub(crate) async fn of_session(
     };
     let content = ticket.run(fill).await??;
     Ok(PlanFile { etag, content })
+}
+
+/// The digest of the request and the build.
+async fn etag(
+    app: &App,
+    client: Client,
+    record: &Arc<Record>,
+    query: PlanQuery,
+) -> Result<String, Problem> {
+    let PlanQuery {
+        columns,
+        rows,
+        precision,
+    } = query;
+    let rest = app.sessions.text_of(client, record).await?.rest_digest;
+    let shape = format!(
+        "{} {rest} {columns} {rows} {precision:?}",
+        env!("CARGO_PKG_VERSION")
+    );
+    Ok(format!("\"{}\"", Digest::of(shape.as_bytes())))
 }
 
 fn too_large(bytes: u64) -> Problem {

@@ -41,15 +41,7 @@ pub(crate) enum DragRoute {
 
 /// Pixels of a picture up to which its drawing counts as a drag. A larger one takes longer than a
 /// person's hand waits, and would delay the drags of others: it waits with the uploads.
-const MOST_DRAG_PIXELS: f64 = 8e6;
-
-/// About how many pixels are drawn of a picture of this extent.
-fn drawn_pixels(output: &OutputSpec, extent: Extent) -> f64 {
-    let scale = output
-        .width
-        .map_or(1.0, |width| f64::from(width) / f64::from(extent.width()));
-    f64::from(extent.width()) * f64::from(extent.height()) * scale * scale
-}
+const MOST_DRAG_PIXELS: u64 = 8_000_000;
 
 /// A plan, and the ticket to use it.
 pub(crate) struct AdmittedPlan {
@@ -119,12 +111,14 @@ pub(crate) async fn of_session(
         mut ticket,
         planned,
     } = plan;
-    if drawn_pixels(&output, content.subject().extent()) > MOST_DRAG_PIXELS {
+    let key = QueueKey::session(client, record.id);
+    let extent = content.subject().extent();
+    // A canvas that depends on the pose is about as large as the image.
+    let target = output.target_before_pose(extent, &app.plans.limits)?;
+    if target.map_or(extent, |target| target.extent).pixels() > MOST_DRAG_PIXELS {
         drop(ticket);
-        ticket = app
-            .admission
-            .upload(QueueKey::session(client, record.id))
-            .await?;
+        let upload = async { Ok(app.admission.upload(key).await?) };
+        ticket = app.sessions.unless_superseded(&request, upload).await?;
     }
     let (folds, quota) = (record.folds, app.admission.response_quota(client));
     let q = posed(&ticket, &record, drag).await?;

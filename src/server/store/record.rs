@@ -704,7 +704,7 @@ mod tests {
             changed("\"version\":1", "\"version\":2"),
             changed("\"version\":1", "\"version\":1,\"frames\":{}"),
             with_warp(&record, r#"{"region":1}"#),
-            with_warp(&record, r#"{"method":"arap"}"#),
+            with_warp(&record, r#"{"method":"lattice"}"#),
             with_warp(&record, r#"{"method":"auto"}"#),
             with_warp(&record, r#"{"output":{"filter":"lanczos"}}"#),
             with_warp(&record, r#"{"strength":2}"#),

@@ -7,7 +7,7 @@ use crate::geometry::{Point, Vec2};
 /// continuous: just beyond it, the second factor is nearly the identity.
 const LEAST_CORNER: f64 = 0.3;
 /// How far the lattice reaches beyond the image on every side, as a share of it.
-const MARGIN: f64 = 0.5;
+const BORDER_SHARE: f64 = 0.5;
 /// Cells along the longer side of the image, and the sides of cells, px.
 const CELLS: f64 = 50.0;
 const CELL_SIDES: [f64; 2] = [4.0, 10.0];
@@ -26,13 +26,13 @@ impl ControlLattice {
     pub(super) fn new(width: f64, height: f64) -> Self {
         let longest = width.max(height);
         let usual = (longest / CELLS).clamp(CELL_SIDES[0], CELL_SIDES[1]);
-        let side = usual.max(longest * (1.0 + 2.0 * MARGIN) / MOST_CELLS);
+        let side = usual.max(longest * (1.0 + 2.0 * BORDER_SHARE) / MOST_CELLS);
         let lines = |length: f64| {
-            let cells = (length * (1.0 + 2.0 * MARGIN) / side).ceil();
+            let cells = (length * (1.0 + 2.0 * BORDER_SHARE) / side).ceil();
             let positions = (0..=u32::MAX)
                 .map(f64::from)
                 .take_while(move |k| *k <= cells);
-            positions.map(move |k| k * side - MARGIN * length)
+            positions.map(move |k| k * side - BORDER_SHARE * length)
         };
         let columns = lines(width).count();
         let row = |y: f64| lines(width).map(move |x| Point::new(x, y));

@@ -177,11 +177,22 @@ fn read_images(
             let detail = "`item` belongs to a landmark file, which this image does not have";
             return Err(Problem::new(Code::BadValue, detail).pointer(at("/item")));
         }
+        if entry.names.is_some() && entry.p.is_none() && file.is_some() {
+            let detail = "`names` belongs to `p`: a landmark file has names of its own";
+            return Err(Problem::new(Code::BadValue, detail).pointer(at("/names")));
+        }
         let shape = match (&entry.p, file, &of_session) {
-            (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => NamedShape {
-                p: p.clone(),
-                names: entry.names.clone(),
-            },
+            (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => {
+                if let Some(names) = entry.names.as_ref().filter(|names| names.len() != p.len()) {
+                    let (names, p) = (names.len(), p.len());
+                    let detail = format!("`names` has {names}, but there are {p} handles");
+                    return Err(Problem::new(Code::ShapeMismatch, detail).pointer(at("/names")));
+                }
+                NamedShape {
+                    p: p.clone(),
+                    names: entry.names.clone(),
+                }
+            }
             (Some(_), Some(_), _) => {
                 let detail = "this image has landmarks in `p` and in a file: send one of them";
                 return Err(Problem::new(Code::BadValue, detail).pointer(at("/p")));

@@ -243,7 +243,7 @@ async fn mesh_frame(
     let quota = app.admission.response_quota(client);
     let seq = request.pose.seq;
     // The lattice is chosen after admission; only JSON has a limit of its own.
-    let plan = admit_mesh(app, client, &record, &MeshForm::F32).await?;
+    let (record, plan) = admit_mesh(app, client, record, &MeshForm::F32).await?;
     drop(turn);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(app, client, &plan.ticket, request.pose.q, &record).await?;

@@ -116,7 +116,7 @@ pub async fn open(
     id: SessionId,
     options: DragOptions,
 ) -> Result<Drag, Problem> {
-    let record = app.sessions.peek(id).await?.record;
+    let mut record = app.sessions.peek(id).await?.record;
     app.lifecycle.require_running()?;
     let slot = app.admission.sockets.acquire(client.tenant(), id)?;
     let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
@@ -127,7 +127,8 @@ pub async fn open(
     let lattice = KnownLattice::default();
     let shape = if let FrameContent::CompactMesh(_) = options.form {
         let _turn = slot.frames.take().await;
-        let plan = admit_mesh(app, client, &record, &MeshForm::F32).await?;
+        let (newest, plan) = admit_mesh(app, client, record, &MeshForm::F32).await?;
+        record = newest;
         mesh_shape(
             app,
             &plan,
@@ -138,7 +139,8 @@ pub async fn open(
         .await?
         .0
     } else {
-        let (_, setup) = newest_setup(app, client, Arc::clone(&record)).await?;
+        let (newest, setup) = newest_setup(app, client, record).await?;
+        record = newest;
         MeshShape::new(&setup, record.extent)
     };
     Ok(Drag {

@@ -37,7 +37,7 @@ const NODES: [f64; TILE_NODES] = [
 ];
 /// A point is far from a tile at this many halves of its side, at alpha 1 or less, and at so many
 /// more for each 1 of alpha beyond: then its weight is within 1e-5 of itself (mathematics 7.4).
-const FAR: f64 = 3.5;
+const FAR_AT_ALPHA_1: f64 = 3.5;
 const FAR_PER_ALPHA: f64 = 1.5;
 /// Above this alpha all weights are summed: those of distant points hardly count in any case.
 const MOST_TILED: f64 = 2.0;
@@ -105,7 +105,7 @@ impl<'a> MomentInputs<'a> {
         let alpha = falloff.alpha();
         let rules = TileRules {
             nodes: NODES,
-            far: FAR + FAR_PER_ALPHA * (alpha - 1.0).max(0.0),
+            far: FAR_AT_ALPHA_1 + FAR_PER_ALPHA * (alpha - 1.0).max(0.0),
             smallest: if Self::are_tiled(falloff) {
                 SMALLEST_TILE
             } else {
