@@ -5,12 +5,10 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::Arc;
 
-use super::Nodes;
 use super::pixel::{INTO_PIXEL, nearest_of_pixel};
+use super::{HANDLE_TO_MASK_PX, Nodes};
 use crate::geometry::Point;
 
-/// A handle that lies beside the mask counts as on its nearest pixel within this distance, px.
-const BESIDE_MASK: f64 = 3.0;
 /// Nodes that are settled between two looks at whether the work is still needed: each takes as many
 /// steps as its lines of sight.
 const NODES_PER_CHECK: usize = 64;
@@ -94,7 +92,7 @@ impl Distances {
     fn starts(&self) -> Result<Vec<u32>, OutsideMask> {
         let mask = self.nodes.mask();
         let node = |v: Point| {
-            let (x, y) = mask.pixel_at(v, BESIDE_MASK)?;
+            let (x, y) = mask.pixel_at(v, HANDLE_TO_MASK_PX)?;
             self.nodes.node_at(x, y)
         };
         let starts: Option<Vec<u32>> = match self.source {
@@ -123,7 +121,7 @@ impl Distances {
     /// The position inside the mask from which the handle is seen near `v`.
     fn place(&self, v: Point) -> Option<Point> {
         let p = self.source.nearest(v);
-        let pixel = self.nodes.mask().pixel_at(p, BESIDE_MASK)?;
+        let pixel = self.nodes.mask().pixel_at(p, HANDLE_TO_MASK_PX)?;
         Some(nearest_of_pixel(pixel, p, INTO_PIXEL))
     }
 

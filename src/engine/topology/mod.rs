@@ -10,6 +10,11 @@ mod pixel;
 mod sight;
 mod taut;
 
+/// A handle beside the mask counts as on its nearest pixel within this distance, px.
+pub const HANDLE_TO_MASK_PX: f64 = 3.0;
+/// A position farther from the mask than this belongs to no part, px.
+pub const POSITION_TO_MASK_PX: f64 = 16.0;
+
 pub use distance::{Distances, OutsideMask, PathOrigin};
 pub use lattice::{CutLattice, MAX_SPACING, Quad};
 pub use mask::{Mask, Membership};

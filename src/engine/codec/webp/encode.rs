@@ -6,23 +6,18 @@
 //! The codes come before the first pixel, so every row is predicted twice: once to count, once to
 //! write. That costs less than keeping four bytes a pixel. Memory: three rows.
 
+use super::vp8l::LENGTH_CODE_ORDER;
 use crate::codec::bits::BitWriter;
 use crate::codec::prefix_code::{Codes, SentLengths};
 use crate::pixmap::{Channels, Extent};
 
 /// Symbols of green: its values, and the lengths of runs.
 const GREEN_SYMBOLS: usize = 256 + 24;
-/// The order in which the lengths of the code of lengths are sent (section 3.7.2.1.2).
-const LENGTH_ORDER: [usize; 19] = [
-    17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
-];
 /// Longest code, bits: the codes of one pixel fit one call of the bit writer.
 const MAX_CODE_BITS: usize = 14;
-/// Longest run; longer ones are cut.
+/// Longest run; longer ones are cut. Also one repeated pixel is a run: its symbol is mostly shorter
+/// than four codes.
 const MAX_RUN: usize = 4096;
-/// Shorter runs would be written as pixels. One pixel again is a run too: its symbol is mostly
-/// shorter than the codes of four channels.
-const MIN_RUN: usize = 1;
 /// Pixels between two checks of `wanted`.
 const PIXELS_PER_CHECK: usize = 1 << 17;
 
@@ -164,13 +159,10 @@ fn each_token<S>(
         }
         let mut left = row[at..].iter().take_while(|next| **next == pixel).count();
         at += left;
-        while left >= MIN_RUN {
+        while left > 0 {
             let part = left.min(MAX_RUN);
             run(state, part);
             left -= part;
-        }
-        for _ in 0..left {
-            literal(state, pixel);
         }
     }
 }
@@ -260,7 +252,7 @@ fn put_code<const N: usize>(
     }
     bits.put(out, 0, 1);
     let sent = SentLengths::new(&codes.length);
-    sent.put_code(&LENGTH_ORDER, bits, out);
+    sent.put_code(&LENGTH_CODE_ORDER, bits, out);
     // The lengths of all symbols follow.
     bits.put(out, 0, 1);
     sent.put_runs(bits, out);
@@ -303,7 +295,7 @@ impl StagedBits<'_> {
 
 impl PixelCoder {
     fn put(&self, row: &[Pixel], bits: &mut BitWriter, out: &mut Vec<u8>) {
-        // At most 56 bits a pixel, and eight bytes at the last one.
+        // A pixel takes at most 56 bits, and the last one is stored as eight bytes.
         let start = out.len();
         out.resize(start + row.len() * 7 + 16, 0);
         let mut stage = StagedBits {
@@ -367,7 +359,7 @@ mod tests {
             &mut back,
             |back: &mut Vec<Pixel>, pixel| back.push(pixel),
             |back, times| {
-                assert!((MIN_RUN..=MAX_RUN).contains(&times));
+                assert!((1..=MAX_RUN).contains(&times));
                 back.extend(std::iter::repeat_n(*back.last().unwrap(), times));
             },
         );

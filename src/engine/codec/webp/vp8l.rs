@@ -38,7 +38,8 @@ fn damaged() -> CodecError {
 }
 
 const LENGTH_CODES: usize = 19;
-const LENGTH_CODE_ORDER: [usize; LENGTH_CODES] = [
+/// The order in which the lengths of the code of lengths are sent (section 3.7.2.1.2).
+pub(super) const LENGTH_CODE_ORDER: [usize; LENGTH_CODES] = [
     17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
 ];
 const LONGEST_CODE: usize = 15;

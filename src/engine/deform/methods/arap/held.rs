@@ -5,9 +5,8 @@ use crate::deform::DeformError;
 use crate::deform::groups::coincidence_distance;
 use crate::deform::point_map::MeshInput;
 use crate::geometry::Point;
+use crate::topology::HANDLE_TO_MASK_PX;
 
-/// A handle beside the mask belongs to its nearest pixel within this distance, px.
-const BESIDE_MASK: f64 = 3.0;
 /// Positions that are held: their system takes the cube of them.
 pub(super) const MAX_HELD: u64 = 2000;
 
@@ -51,7 +50,7 @@ pub(super) fn held_positions(
     let mut all = Vec::new();
     let mut hold = |at: Point, columns: Vec<(usize, f64)>, weight: f64| {
         let handle = (input.handle_of)(columns[0].0);
-        let quad = mesh.quad_of(at, BESIDE_MASK);
+        let quad = mesh.quad_of(at, HANDLE_TO_MASK_PX);
         let quad = quad.ok_or(DeformError::OutsideMask { handle })?;
         all.push(Held {
             at,

@@ -6,12 +6,10 @@ use std::sync::Arc;
 use super::part::QuadAnchor;
 use crate::deform::DeformError;
 use crate::geometry::{CutCells, Point, Vec2};
-use crate::topology::{CutLattice, Mask};
+use crate::topology::{CutLattice, Mask, POSITION_TO_MASK_PX};
 
 /// Most vertices of a mesh.
 pub(super) const MAX_VERTICES: usize = 60_000;
-/// A position farther from the mask than this belongs to no part, px.
-const BESIDE_MASK: f64 = 16.0;
 
 /// The mesh of a mask.
 #[derive(Debug)]
@@ -101,7 +99,7 @@ impl LatticeMesh {
 
     /// The displacement of a position; of those far from the mask 0.
     pub(super) fn displaced(&self, u: &[Vec2], v: Point) -> Vec2 {
-        let quad = self.quad_of(v, BESIDE_MASK);
+        let quad = self.quad_of(v, POSITION_TO_MASK_PX);
         quad.map_or(Vec2::ZERO, |quad| self.anchor(quad, v).displaced(u))
     }
 

@@ -20,10 +20,8 @@ use crate::deform::point_map::{CoefficientsOf, Identity, PointMap, RestSet};
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handle, Handles, IsCancelled, Warning};
 use crate::geometry::Point;
-use crate::topology::{Distances, Mask, NoNodes, Nodes, PathOrigin};
+use crate::topology::{Distances, Mask, NoNodes, Nodes, POSITION_TO_MASK_PX, PathOrigin};
 
-/// A position farther from the mask than this belongs to no part, px.
-const BESIDE_MASK: f64 = 16.0;
 /// In the keys of plans and rest handles, beyond those of the plane.
 const KEY: u64 = 32;
 
@@ -138,7 +136,7 @@ impl GeodesicLeastSquares {
         let mut members: Vec<Vec<usize>> = Vec::new();
         for (index, origin) in origins(&set.sources).iter().enumerate() {
             let (PathOrigin::Point(at) | PathOrigin::Segment(at, _)) = *origin;
-            let pixel = mask.pixel_at(at, BESIDE_MASK).unwrap_or_default();
+            let pixel = mask.pixel_at(at, POSITION_TO_MASK_PX).unwrap_or_default();
             let reaches =
                 |part: &&mut Vec<usize>| self.distances[part[0]].reaches(pixel.0, pixel.1);
             match members.iter_mut().find(reaches) {
@@ -191,7 +189,7 @@ impl GeodesicLeastSquares {
     fn pixel(&self, v: Point, given: u32) -> Option<(usize, usize)> {
         let mask = self.nodes.mask();
         match given {
-            ON_PLANE => mask.pixel_at(v, BESIDE_MASK),
+            ON_PLANE => mask.pixel_at(v, POSITION_TO_MASK_PX),
             given => {
                 let pixel = (
                     given as usize % mask.size().0,
