@@ -17,6 +17,8 @@ const SKETCHES = {
   affine: (x, y) => [0.8 * x - 0.3 * y, 0.85 * y],
   tps: (x, y) => [x * 0.8 + 0.35 * bump(x, y), y * 0.8 - 0.35 * bump(x, y)],
   global_affine: (x, y) => turned(0.95 * x, 0.65 * y, -0.3, 1),
+  // The upper half stays as it is, the lower one bends like a leg.
+  arap: (x, y) => turned(x, y, -0.5 * Math.max(0, y), 0.9),
   beier_neely: (x, y) => [0.85 * x + 0.28 * Math.sin(2.4 * y), 0.9 * y],
   "": (x, y) => [0.9 * x + 0.25 * (1 - y) * Math.abs(x), 0.9 * y + 0.1 * x * x],
 };

@@ -57,7 +57,7 @@ export class MlsWarp extends HTMLElement {
   /** Handles and settings: a warp object, which the server takes as it is. */
   get warp(): WarpObject;
   set warp(warp: WarpObject);
-  /** `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `arap` or `beier_neely`. */
+  /** `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `arap` or `beier_neely`. `arap` needs a server. */
   method: string;
   /** How quickly the influence of a handle falls off. Null: automatic. */
   get alpha(): number;

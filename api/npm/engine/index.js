@@ -117,7 +117,7 @@ export class Engine {
    *
    * @param {Bytes} p
    * @param {Bytes} [q]
-   * @param {{ match?: "name" | "index", item?: string | number }} [options]
+   * @param {{ match?: "name" | "order", item?: string | number }} [options]
    * @returns {Landmarks}
    */
   landmarks(p, q, options = {}) {

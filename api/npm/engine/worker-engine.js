@@ -303,7 +303,7 @@ export class WorkerEngine {
   /**
    * @param {import("./index.js").Bytes} p
    * @param {import("./index.js").Bytes} [q]
-   * @param {{ match?: "name" | "index", item?: string | number } & Abortable} [options]
+   * @param {{ match?: "name" | "order", item?: string | number } & Abortable} [options]
    * @returns {Promise<import("./index.js").Landmarks>}
    */
   landmarks(p, q, { signal, ...choice } = {}) {

@@ -244,7 +244,7 @@ export class Follower {
  * @param {{ x: number, y: number, width: number, height: number } | null | undefined} canvas
  * @returns {Page.Box | null}
  */
-export const boxOf = (canvas) =>
+export const arrayOfBox = (canvas) =>
   canvas ? [canvas.x, canvas.y, canvas.width, canvas.height] : null;
 
 /** @type {(document: Page.Document) => [p: Page.WireHandle[], q: Page.WireHandle[]]} */

@@ -5,7 +5,7 @@ import { ApiError } from "../../../api/npm/client/index.js";
 import { restOf, wire } from "../edits.js";
 import { Mesh } from "../mesh.js";
 import { Plans } from "../plan.js";
-import { Follower, boxOf, sides } from "./follower.js";
+import { Follower, arrayOfBox, sides } from "./follower.js";
 
 /** @typedef {import("../../../api/npm/client/index.js").Client} Client */
 /** @typedef {import("../../../api/npm/client/index.js").Session} Session */
@@ -148,7 +148,7 @@ export class Remote extends Follower {
     if (revision <= Math.max(this.live, this.settled)) return frame.ack();
     if (frame.mesh) this.show(new Mesh(frame.mesh, frame.mesh.xy), revision, () => frame.ack());
     else if (frame.blob)
-      this.view.showFrame(frame.blob, boxOf(frame.report?.canvas)).then(() => frame.ack());
+      this.view.showFrame(frame.blob, arrayOfBox(frame.report?.canvas)).then(() => frame.ack());
   }
 
   /**
@@ -166,7 +166,7 @@ export class Remote extends Follower {
       session.warp(q, { signal }),
       this.#plans.of(this.#known) ? null : session.mesh(q, { signal }),
     ]);
-    return { blob, box: boxOf(canvas), mesh: mesh && new Mesh(mesh, mesh.xy), residual };
+    return { blob, box: arrayOfBox(canvas), mesh: mesh && new Mesh(mesh, mesh.xy), residual };
   }
 
   /**

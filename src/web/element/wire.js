@@ -3,7 +3,16 @@
 import { METHODS } from "../methods.js";
 import { pinOf } from "../twist.js";
 
-/** @typedef {Partial<Page.Warp> & { strength?: number }} GivenWarp */
+/**
+ * What the element does not do has one value. The objects of methods are beside these.
+ *
+ * @typedef {Partial<Page.Warp> & {
+ *   strength?: number, units?: string, folds?: string, [method: string]: unknown,
+ * }} GivenWarp
+ */
+
+/** The only values of fields that the element has no other way for. */
+const ONLY = { units: "px", align: "none", folds: "report" };
 
 /** @type {(value: unknown) => value is Page.Place} */
 const isPlace = (value) =>
@@ -57,28 +66,33 @@ export function handlesOf(p, q, weights, mass) {
 }
 
 /**
- * What of a warp object a document has besides its handles.
+ * What of a warp object a document has besides its handles. Throws a TypeError that names a field
+ * which the element cannot follow.
  *
  * @param {GivenWarp} warp
  * @returns {Partial<Page.Document>}
  */
-export function settingsOf({
-  method,
-  alpha,
-  smoothing,
-  point_mass: mass,
-  coincident,
-  grid,
-  output,
-}) {
+export function settingsOf(warp) {
+  const { method, alpha, smoothing, point_mass: mass, metric, mask, coincident } = warp;
+  const { grid, output } = warp;
+  for (const [field, only] of Object.entries(ONLY))
+    if ((warp[field] ?? only) !== only)
+      throw new TypeError(`${field}: the element has only "${only}"`);
   if (method !== undefined && !METHODS.some(({ name }) => name === method))
     throw new TypeError(`method: one of ${METHODS.map(({ name }) => name).join(", ")}`);
+  const given = METHODS.filter(({ name, object }) => object && warp[name] !== undefined);
+  const own = Object.fromEntries(
+    given.map(({ name }) => [name, /** @type {Record<string, number>} */ (warp[name])]),
+  );
   const cell = typeof grid === "object" && "cell" in grid ? grid.cell : grid;
   return {
     ...(method !== undefined && { method }),
     ...(alpha !== undefined && { alpha }),
     ...(smoothing !== undefined && { smoothing }),
     ...(mass !== undefined && { mass }),
+    ...(given.length && { own }),
+    ...(metric !== undefined && { metric }),
+    ...(mask?.threshold !== undefined && { threshold: mask.threshold }),
     ...(coincident !== undefined && { coincident }),
     ...(cell !== undefined && { grid: /** @type {Page.Grid} */ (cell) }),
     ...output,
