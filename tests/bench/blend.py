@@ -137,7 +137,7 @@ def samples_of(values):
 
 
 def by_numpy(warped, weights, is_linear):
-    """Colours and alpha, by the rules of MATHEMATICS.md, section 17."""
+    """Colours and alpha, by the rules of MATHEMATICS.md, section 15."""
     images = [image if image.shape[2] == 4 else with_alpha(image) for image in warped]
     colours = [light(image[..., :3]) if is_linear else image[..., :3] for image in images]
     alphas = [image[..., 3:] for image in images]

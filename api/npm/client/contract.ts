@@ -87,12 +87,11 @@ export type Method = "rigid" | "similarity" | "affine" | "tps" | "global_affine"
  * exactly; it has no `alpha`. `beier_neely`: field morphing (Beier, Neely 1992), forwards,
  * for lines only; it has no `alpha` and no `point_mass`, and its parameters are in the
  * object `beier_neely`. `arap`: as rigid as possible (Igarashi, Moscovich, Hughes 2005), on
- * a mesh of what the image shows, which follows its outline: pixels of more than half of
- * full alpha, times the region. It needs an image: `/points`, `/map` and `/report` outside
- * of a session answer `not_supported`. It has no `alpha`, no `point_mass`, no `grid` other
- * than `auto`, and no table (`no_table`); its parameter is in the object `arap`. A handle
- * more than 3 px beside the mask is refused; a part with one handle moves as a whole, and
- * one without stays.
+ * a mesh of what the image shows, which follows its outline: the pixels of `mask`. It needs
+ * an image: `/points`, `/map` and `/report` outside of a session answer `not_supported`. It
+ * has no `alpha`, no `point_mass`, no `grid` other than `auto`, and no table (`no_table`);
+ * its parameter is in the object `arap`. A handle more than 3 px beside the mask is refused;
+ * a part with one handle moves as a whole, and one without stays.
  */
 export type EffectiveMethod = "rigid" | "similarity" | "affine" | "tps" | "global_affine" | "beier_neely" | "arap";
 

@@ -392,8 +392,8 @@ impl DeformError {
             }
             Self::NeedsMask { method } => write!(
                 f,
-                "the method `{method}` needs an image, whose outline its mesh follows: send one, \
-                    or use a session; blends do not offer it"
+                "the method `{method}` needs an image, whose outline its mesh follows; plans of \
+                    the packages, blends, and requests without an image have none"
             ),
             _ => Ok(()),
         }

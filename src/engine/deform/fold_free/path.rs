@@ -1,5 +1,6 @@
-//! The way of the handles from p to their targets: points go straight, a line by its centre, its
-//! direction and its length, and handles that would come too near go round each other.
+//! The way of the handles from p to their targets: points, and the positions of polylines of more
+//! than one segment, go straight, a segment goes by its centre, its direction and the logarithm of
+//! its length, and handles that would come too near go round each other.
 
 use super::super::{Handle, IsCancelled};
 use crate::geometry::{Point, Vec2};
@@ -7,7 +8,7 @@ use crate::geometry::{Point, Vec2};
 /// Positions of each handle.
 pub(super) type HandlePlaces = Vec<Vec<Point>>;
 
-/// Cosine of the largest turn of a line in one leg.
+/// Cosine of the largest turn of a segment in one leg.
 const LEAST_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Positions of a segment that are compared with those of others.
 pub(super) const SAMPLES: u32 = 9;

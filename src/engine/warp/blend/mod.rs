@@ -1,4 +1,4 @@
-//! Averages, morphs, caricatures and transforms: one formula over several images (mathematics 17).
+//! Averages, morphs, caricatures and transforms: one formula over several images (mathematics 15).
 //!
 //! ```text
 //! t = sum a_k A_k(p_k)        the target shape: shape weights a_k, alignments A_k   (shapes.rs)
