@@ -89,6 +89,7 @@ pub(super) fn written(warp: &WarpObject) -> Value {
         smoothing,
         own,
         metric,
+        mask_threshold,
         coincident,
         units,
         grid,
@@ -108,6 +109,9 @@ pub(super) fn written(warp: &WarpObject) -> Value {
     // Nobody needs to send the default, so it is not described.
     if *metric != Metric::default() {
         fields.insert("metric".to_owned(), json!(AsJson(*metric)));
+    }
+    if let Some(threshold) = mask_threshold {
+        fields.insert("mask".to_owned(), json!({"threshold": threshold}));
     }
     fields.retain(|_, value| !value.is_null());
     object
