@@ -3,8 +3,6 @@
 
 use super::Mask;
 use super::cell_components::{CellComponents, NO_COMPONENT};
-use super::pixel::nearest_of_pixel;
-use crate::geometry::{CutCell, CutCells, Grid, Point};
 
 /// A quad of the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,22 +20,74 @@ pub struct Quad {
 /// The cut lattice of a mask.
 #[derive(Debug)]
 pub struct CutLattice {
-    spacing: u32,
+    pub(super) spacing: u32,
     /// Cells along each axis.
     cells: [usize; 2],
-    quads: Vec<Quad>,
+    pub(super) quads: Vec<Quad>,
     /// The first quad of each cell, cells row by row.
     first_quad: Vec<u32>,
     /// Lines of the lattice that each vertex lies on: its position divided by the spacing.
-    vertices: Vec<[u32; 2]>,
+    pub(super) vertices: Vec<[u32; 2]>,
     parts: u32,
     /// Of each cell with several components: its index, and the component of each pixel, row by
     /// row; ascending.
     split: Vec<(u32, Box<[u16]>)>,
 }
 
-/// Quads after which somebody is asked whether the work is still needed.
-const QUADS_PER_CHECK: usize = 256;
+/// What the memory of a lattice depends on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LatticeSize {
+    /// Cells of the image.
+    pub cells: u64,
+    /// Quads.
+    pub quads: u64,
+    /// Quads in cells that are not whole: each has a set of texels.
+    pub sets: u64,
+    /// Cells with several quads: each has the components of its pixels.
+    pub split: u64,
+}
+
+impl LatticeSize {
+    /// Bytes of a lattice with cells of `side` px and of the quads as they are drawn, with what
+    /// their construction needs.
+    #[must_use]
+    pub const fn bytes(&self, side: u32) -> u64 {
+        let labels = 2 * (side as u64 * side as u64) + 64;
+        // Quads that share no vertex have four each; both know the first quad of each cell.
+        340 * self.quads + set_bytes(side) * self.sets + labels * self.split + 8 * self.cells
+    }
+
+    /// Bytes of the quads as they are drawn, and of what their vertices belong to.
+    #[must_use]
+    pub const fn kept_bytes(&self, side: u32) -> u64 {
+        168 * self.quads + set_bytes(side) * self.sets + 4 * self.cells
+    }
+}
+
+/// Bytes of a set of texels.
+const fn set_bytes(side: u32) -> u64 {
+    8 * (side as u64 * side as u64).div_ceil(64)
+}
+
+/// Work after which somebody is asked whether it is still needed, in pixels and words.
+const PIXELS_PER_CHECK: usize = 1 << 15;
+
+/// Counts work between two looks at whether it is still needed.
+#[derive(Debug, Default)]
+pub(super) struct CheckedWork(usize);
+
+impl CheckedWork {
+    /// `None` when cancelled.
+    pub(super) fn add(&mut self, pixels: usize, cancelled: &dyn Fn() -> bool) -> Option<()> {
+        self.0 += pixels;
+        if self.0 >= PIXELS_PER_CHECK {
+            self.0 = 0;
+            return (!cancelled()).then_some(());
+        }
+        Some(())
+    }
+}
+
 /// Cells have at most this many pixels a side, so that components have numbers.
 pub const MAX_SPACING: u32 = 128;
 
@@ -87,36 +137,36 @@ impl Merged {
 }
 
 impl CutLattice {
-    /// Bytes that a lattice of this many quads takes, with what its construction needs and without
-    /// sets of texels.
+    /// The size of a lattice, or one that takes more than `most` bytes; `None` when cancelled.
     #[must_use]
-    pub const fn bytes_for(quads: u64) -> u64 {
-        quads * 160
-    }
-
-    /// The number of quads of a lattice, or a number above `most`; `None` when cancelled.
-    #[must_use]
-    pub fn count(
+    pub fn size(
         mask: &Mask,
         spacing: u32,
-        most: usize,
+        most: u64,
         cancelled: &dyn Fn() -> bool,
-    ) -> Option<usize> {
-        let side = spacing.clamp(1, MAX_SPACING) as usize;
+    ) -> Option<LatticeSize> {
+        let spacing = spacing.clamp(1, MAX_SPACING);
+        let side = spacing as usize;
         let (width, height) = mask.size();
-        let (mut count, mut components) = (0, CellComponents::new(side));
-        for row in 0..height.div_ceil(side) {
-            if cancelled() {
-                return None;
+        let cells = [width.div_ceil(side), height.div_ceil(side)];
+        let mut size = LatticeSize {
+            cells: (cells[0] * cells[1]) as u64,
+            ..LatticeSize::default()
+        };
+        let (mut components, mut work) = (CellComponents::new(side), CheckedWork::default());
+        for (row, column) in (0..cells[1]).flat_map(|row| (0..cells[0]).map(move |k| (row, k))) {
+            work.add(side * side, cancelled)?;
+            let count: u64 = components.find(mask, column, row).into();
+            size.quads += count;
+            size.split += u64::from(count > 1);
+            if !mask.is_whole(column * side, row * side, side) {
+                size.sets += count;
             }
-            for column in 0..width.div_ceil(side) {
-                count += usize::from(components.find(mask, column, row));
-            }
-            if count > most {
+            if size.bytes(spacing) > most {
                 break;
             }
         }
-        Some(count)
+        Some(size)
     }
 
     /// The lattice with cells of `spacing` px, 1 to [`MAX_SPACING`]; `None` when cancelled or if it
@@ -140,12 +190,10 @@ impl CutLattice {
             parts: 0,
             split: Vec::new(),
         };
-        let mut components = CellComponents::new(side);
+        let (mut components, mut work) = (CellComponents::new(side), CheckedWork::default());
         for row in 0..cells[1] {
-            if cancelled() {
-                return None;
-            }
             for column in 0..cells[0] {
+                work.add(side * side, cancelled)?;
                 lattice.add_cell(mask, column, row, &mut components);
                 if lattice.quads.len() > max_quads.min(u32::MAX as usize / 8) {
                     return None;
@@ -263,121 +311,6 @@ impl CutLattice {
         (component != NO_COMPONENT).then_some(first + component as usize)
     }
 
-    /// The quads as they are drawn. A quad draws the visible texels of its component, and those
-    /// that are not visible beside them, into which samples reach. `None` when cancelled.
-    #[must_use]
-    pub fn cells_of(&self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<CutCells> {
-        let side = self.spacing as usize;
-        let mut texels = Vec::new();
-        let mut set = vec![0_u64; (side * side).div_ceil(64)];
-        let mut cells = Vec::with_capacity(self.quads.len());
-        for (k, quad) in self.quads.iter().enumerate() {
-            if k.is_multiple_of(QUADS_PER_CHECK) && cancelled() {
-                return None;
-            }
-            set.fill(0);
-            let (mut is_whole, mut is_loose) = (true, false);
-            let [x0, y0] = quad.cell.map(|cell| cell as usize * side);
-            let rows = if mask.is_whole(x0, y0, side) { 0 } else { side };
-            for y in 0..rows {
-                for x in 0..side {
-                    let (px, py) = (x0 + x, y0 + y);
-                    if px >= mask.size().0 || py >= mask.size().1 {
-                        continue;
-                    }
-                    if self.draws(mask, k, px, py) {
-                        let bit = y * side + x;
-                        set[bit / 64] |= 1 << (bit % 64);
-                        is_loose |= mask.is_visible(px, py) && mask.root(px, py).is_none();
-                    } else {
-                        is_whole = false;
-                    }
-                }
-            }
-            let texels = (!is_whole).then(|| {
-                texels.extend_from_slice(&set);
-                index(texels.len() / set.len() - 1)
-            });
-            cells.push(CutCell {
-                cell: quad.cell,
-                vertices: quad.vertices,
-                texels,
-                is_loose,
-            });
-        }
-        let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
-        let grid = Grid::with_cell(width, height, f64::from(self.spacing));
-        let vertices = self.vertices.clone();
-        Some(CutCells::new(grid, self.spacing, cells, vertices, texels))
-    }
-
-    /// The pixel inside, counted row by row, to which each vertex belongs: the nearest one of its
-    /// quads, or the one that their rim is attached to; none where there is only rim that touches
-    /// nothing. `None` when cancelled.
-    #[must_use]
-    pub fn pixels(&self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<Vec<Option<u32>>> {
-        let side = self.spacing as usize;
-        let mut nearest = vec![(f64::INFINITY, u32::MAX); self.vertices.len()];
-        let (width, height) = mask.size();
-        for (k, quad) in self.quads.iter().enumerate() {
-            if k.is_multiple_of(QUADS_PER_CHECK) && cancelled() {
-                return None;
-            }
-            let [x0, y0] = quad.cell.map(|cell| cell as usize * side);
-            let (last_x, last_y) = ((x0 + side).min(width) - 1, (y0 + side).min(height) - 1);
-            let mut look = |x: usize, y: usize, (rx, ry): (usize, usize)| {
-                for vertex in quad.vertices {
-                    let [column, row] = self.vertices[vertex as usize];
-                    let at = Point::new(
-                        (column as usize * side).min(width) as f64,
-                        (row as usize * side).min(height) as f64,
-                    );
-                    let distance = nearest_of_pixel((rx, ry), at, 0.0).distance(at);
-                    let found = (distance, index(y * width + x));
-                    let best = &mut nearest[vertex as usize];
-                    if found < *best {
-                        *best = found;
-                    }
-                }
-            };
-            if mask.is_whole(x0, y0, side) {
-                for (x, y) in [(x0, y0), (last_x, y0), (x0, last_y), (last_x, last_y)] {
-                    look(x, y, (x, y));
-                }
-                continue;
-            }
-            for (y, x) in (y0..=last_y).flat_map(|y| (x0..=last_x).map(move |x| (y, x))) {
-                if self.quad_at(mask, x, y) == Some(k)
-                    && let Some(root) = mask.root(x, y)
-                {
-                    look(x, y, root);
-                }
-            }
-        }
-        let roots = nearest.into_iter().map(|(_, pixel)| {
-            let pixel = (pixel != u32::MAX).then_some(pixel as usize)?;
-            let (x, y) = mask.root(pixel % width, pixel / width)?;
-            Some(index(y * width + x))
-        });
-        Some(roots.collect())
-    }
-
-    /// Whether a quad draws a pixel of its cell.
-    fn draws(&self, mask: &Mask, quad: usize, x: usize, y: usize) -> bool {
-        if mask.is_visible(x, y) {
-            return self.quad_at(mask, x, y) == Some(quad);
-        }
-        let own = self.quads[quad];
-        let beside = (y.saturating_sub(1)..y + 2)
-            .flat_map(|y| (x.saturating_sub(1)..x + 2).map(move |x| (x, y)));
-        beside
-            .filter_map(|(x, y)| self.quad_at(mask, x, y))
-            .any(|other| {
-                other == quad
-                    || self.quads[other].part == own.part && self.quads[other].cell != own.cell
-            })
-    }
-
     /// Side of a cell, px.
     #[must_use]
     pub const fn spacing(&self) -> u32 {
@@ -435,6 +368,6 @@ impl CutLattice {
     clippy::cast_possible_truncation,
     reason = "limited by CutLattice::new"
 )]
-const fn index(k: usize) -> u32 {
+pub(super) const fn index(k: usize) -> u32 {
     k as u32
 }

@@ -3,6 +3,7 @@
 
 mod cell_components;
 mod distance;
+mod drawn_cells;
 mod lattice;
 mod mask;
 mod nodes;
@@ -16,7 +17,7 @@ pub const HANDLE_TO_MASK_PX: f64 = 3.0;
 pub const POSITION_TO_MASK_PX: f64 = 16.0;
 
 pub use distance::{Distances, OutsideMask, PathOrigin};
-pub use lattice::{CutLattice, MAX_SPACING, Quad};
+pub use lattice::{CutLattice, LatticeSize, MAX_SPACING, Quad};
 pub use mask::{Mask, Membership};
 pub use nodes::{NoNodes, Nodes};
 

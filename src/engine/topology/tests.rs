@@ -216,6 +216,18 @@ fn spiral(side: usize) -> Vec<String> {
         .collect()
 }
 
+/// One part for every second pixel.
+fn checkerboard(y: u32, row: &mut [Membership]) {
+    for (x, membership) in (0..).zip(row) {
+        let is_inside = (x + y).is_multiple_of(2);
+        *membership = if is_inside {
+            Membership::Inside
+        } else {
+            Membership::Outside
+        };
+    }
+}
+
 #[test]
 fn hostile_masks_take_bounded_work_and_memory() {
     let rows = spiral(301);
@@ -237,16 +249,6 @@ fn hostile_masks_take_bounded_work_and_memory() {
         "{middle} of {pixels}"
     );
 
-    let checkerboard = |y: u32, row: &mut [Membership]| {
-        for (x, membership) in (0..).zip(row) {
-            let is_inside = (x + y).is_multiple_of(2);
-            *membership = if is_inside {
-                Membership::Inside
-            } else {
-                Membership::Outside
-            };
-        }
-    };
     let mask = Arc::new(Mask::new(600, 400, checkerboard, &|| false).unwrap());
     let too_many = Nodes::new(Arc::clone(&mask), Nodes::stride_of(&mask), 1000, &|| false);
     assert_eq!(too_many.unwrap_err(), NoNodes::TooMany(120_000));
@@ -254,4 +256,88 @@ fn hostile_masks_take_bounded_work_and_memory() {
     let all = CutLattice::new(&mask, 8, 1 << 20, &|| false).unwrap();
     assert_eq!((all.quads().len(), all.parts()), (120_000, 120_000));
     assert!(Mask::new(600, 400, checkerboard, &|| true).is_none());
+}
+
+#[test]
+fn quads_draw_their_texels_and_those_beside_them() {
+    // Inside, rim and nothing without an order, a body with legs, and what is drawn whole.
+    let noise = |y: u32, row: &mut [Membership]| {
+        for (x, membership) in (0_u32..).zip(row) {
+            let hash = (x * 7919 + y * 104_729 + (x * y) % 13 * 31) % 17;
+            *membership = match hash {
+                _ if y < 9 || x > 30 && x % 4 < 2 => Membership::Inside,
+                0..8 => Membership::Inside,
+                8..11 => Membership::Rim,
+                _ => Membership::Outside,
+            };
+        }
+    };
+    let mask = Mask::new(53, 41, noise, &|| false).unwrap();
+    for side in [1_u32, 2, 5, 8, 20, 64] {
+        let lattice = CutLattice::new(&mask, side, 1 << 20, &|| false).unwrap();
+        let cells = lattice.cells_of(&mask, &|| false).unwrap();
+        assert_eq!(cells.cells().len(), lattice.quads().len());
+        for (k, (quad, drawn)) in lattice.quads().iter().zip(cells.cells()).enumerate() {
+            let mut is_whole = true;
+            let mut is_loose = false;
+            for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
+                let [px, py] = [quad.cell[0] * side + x, quad.cell[1] * side + y];
+                let [px, py] = [px as usize, py as usize];
+                if px >= 53 || py >= 41 {
+                    continue;
+                }
+                let around = (py.saturating_sub(1)..py + 2)
+                    .flat_map(|y| (px.saturating_sub(1)..px + 2).map(move |x| (x, y)));
+                let draws = if mask.is_visible(px, py) {
+                    lattice.quad_at(&mask, px, py) == Some(k)
+                } else {
+                    around
+                        .filter_map(|(x, y)| lattice.quad_at(&mask, x, y))
+                        .any(|other| {
+                            let beside = lattice.quads()[other];
+                            other == k || beside.part == quad.part && beside.cell != quad.cell
+                        })
+                };
+                assert_eq!(cells.draws(drawn, x, y), draws, "{side} {quad:?} {x} {y}");
+                is_whole &= draws;
+                is_loose |= draws && mask.is_visible(px, py) && mask.root(px, py).is_none();
+            }
+            assert_eq!(drawn.texels.is_none(), is_whole, "{side} {quad:?}");
+            assert_eq!(drawn.is_loose, is_loose, "{side} {quad:?}");
+        }
+    }
+}
+
+#[test]
+fn the_work_of_a_lattice_grows_with_its_pixels() {
+    let looks_at = |height: u32| {
+        let mask = Mask::new(256, height, checkerboard, &|| false).unwrap();
+        let (size, sides) = (CutLattice::size(&mask, 64, u64::MAX, &|| false), 64 * 64);
+        let looks = std::cell::Cell::new(0);
+        let is_cancelled = || {
+            looks.set(looks.get() + 1);
+            false
+        };
+        let lattice = CutLattice::new(&mask, 64, 1 << 20, &|| false).unwrap();
+        let cells = lattice.cells_of(&mask, &is_cancelled).unwrap();
+        let pixels = lattice.pixels(&mask, &is_cancelled).unwrap();
+        assert!(pixels.iter().all(Option::is_some));
+        let size = size.unwrap();
+        let quads = u64::from(128 * height);
+        assert_eq!((size.quads, size.sets), (quads, quads));
+        assert_eq!(size.split * 2 * sides, 256 * u64::from(height) * 2);
+        assert!(lattice.bytes() + cells.bytes() < size.bytes(64));
+        looks.get()
+    };
+    // Words of the sets, of which each quad has one, and pixels.
+    let (single, double) = (looks_at(256), looks_at(512));
+    assert!((10..30).contains(&single), "{single}");
+    assert!(double <= 2 * single + 2, "{double} {single}");
+    // Each look comes before much is done.
+    let mask = Mask::new(256, 256, checkerboard, &|| false).unwrap();
+    let lattice = CutLattice::new(&mask, 64, 1 << 20, &|| false).unwrap();
+    assert!(lattice.cells_of(&mask, &|| true).is_none());
+    assert!(CutLattice::size(&mask, 64, u64::MAX, &|| true).is_none());
+    let some = CutLattice::size(&mask, 64, 1 << 20, &|| false).unwrap();
+    assert!(some.quads < 4096 && some.bytes(64) > 1 << 20);
 }

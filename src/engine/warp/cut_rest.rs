@@ -12,7 +12,7 @@ use crate::deform::{
 };
 use crate::geometry::{CutCells, CutMesh, Grid, Mesh, Point};
 use crate::pixmap::Extent;
-use crate::topology::{CutLattice, Distances, MAX_SPACING, Mask, Nodes};
+use crate::topology::{CutLattice, Distances, LatticeSize, MAX_SPACING, Mask, Nodes};
 
 /// Cells are not subdivided, so they are small: as many pixels a side as give about this number of
 /// quads and not more cells of the whole image than that, and at least [`LEAST_CELL`].
@@ -47,21 +47,18 @@ impl CutRest {
             };
             return Ok((mesh, None));
         }
-        let most = limits.plan_bytes / CutLattice::bytes_for(1);
-        let most_quads = usize::try_from(most).unwrap_or(usize::MAX);
-        let lattice = CutLattice::new(mask, whole(side), most_quads, cancelled);
-        let Some(lattice) = lattice else {
-            let actual = if cancelled() {
-                return Err(WarpError::Cancelled);
-            } else {
-                most + 1
-            };
-            return Err(WarpError::TooLarge {
-                what: "grid_vertices",
-                limit: most,
-                actual,
-            });
-        };
+        let side = whole(side);
+        Self::size(mask, side, limits, cancelled)?;
+        let lattice = CutLattice::new(mask, side, usize::MAX, cancelled);
+        let lattice = lattice.ok_or(WarpError::Cancelled)?;
+        let vertices = lattice.vertices().len();
+        let bytes = CoefficientTable::bytes_for(field, vertices);
+        at_most("plan_bytes", limits.plan_bytes, bytes)?;
+        work::at_most(
+            Task::Grid,
+            limits.work,
+            (vertices as u64).saturating_mul(work::of_vertex(field)),
+        )?;
         let cells = lattice.cells_of(mask, cancelled);
         let pixels = lattice.pixels(mask, cancelled);
         let (Some(cells), Some(pixels)) = (cells, pixels) else {
@@ -71,13 +68,6 @@ impl CutRest {
         let vertices: Vec<_> = pixels
             .map(|(vertex, pixel)| (cells.vertex(vertex), pixel.unwrap_or(AT_REST)))
             .collect();
-        let bytes = CoefficientTable::bytes_for(field, vertices.len());
-        at_most("plan_bytes", limits.plan_bytes, bytes)?;
-        work::at_most(
-            Task::Grid,
-            limits.work,
-            (vertices.len() as u64).saturating_mul(work::of_vertex(field)),
-        )?;
         let cut = Self {
             cells: Arc::new(cells),
             vertices,
@@ -85,19 +75,19 @@ impl CutRest {
         Ok((cut, Some(bytes)))
     }
 
-    /// Bytes of the quads of a mask with cells of a grid, with what their construction needs, up to
-    /// a limit beyond which they are refused; `None` when cancelled.
-    pub(super) fn bytes_for(
+    /// The size of the lattice of a mask with cells of `side` px.
+    ///
+    /// Errors: It takes more memory than the limit of a plan; cancelled.
+    fn size(
         mask: &Mask,
-        side: f64,
-        most: u64,
+        side: u32,
+        limits: &Limits,
         cancelled: IsCancelled<'_>,
-    ) -> Option<u64> {
-        let side = whole(side);
-        let of_quad = CutLattice::bytes_for(1) + u64::from(side * side) / 8;
-        let most_quads = usize::try_from(most / of_quad).unwrap_or(usize::MAX);
-        let quads = CutLattice::count(mask, side, most_quads, cancelled)?;
-        Some(quads as u64 * of_quad)
+    ) -> Result<LatticeSize, WarpError> {
+        let size = CutLattice::size(mask, side, limits.plan_bytes, cancelled);
+        let size = size.ok_or(WarpError::Cancelled)?;
+        at_most("plan_bytes", limits.plan_bytes, size.bytes(side))?;
+        Ok(size)
     }
 
     /// The coefficients of its vertices; `None` when cancelled.
@@ -134,26 +124,33 @@ impl CutRest {
 
 impl RestSpec {
     /// Memory of the deformation that [`ResolvedRest::new`](super::ResolvedRest::new) computes,
-    /// beyond that of the handles; known before anything is allocated. `None` when cancelled: a
-    /// mask is looked through.
-    #[must_use]
-    pub fn field_bytes(&self, limits: &Limits, cancelled: IsCancelled<'_>) -> Option<FieldBytes> {
+    /// beyond that of the handles; known before anything is allocated.
+    ///
+    /// # Errors
+    /// A grid that is cut takes more memory than a plan may; cancelled: a mask is looked through.
+    pub fn field_bytes(
+        &self,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<FieldBytes, WarpError> {
         let handles = self.p.len() as u64;
         let system = system_bytes(self.method, handles);
         let mask = self.mask.as_ref().map(|rest| &rest.mask);
         let Some(mask) = mask.filter(|mask| self.needs_mask() && !is_plane(self, mask)) else {
-            return Some(FieldBytes {
+            return Ok(FieldBytes {
                 peak: system,
                 kept: system,
             });
         };
         if let Some(method) = &self.method.info().mesh {
             let held = held_positions(self, mask, (method.cell)(&self.own, mask));
-            let mesh = (method.bytes)(&self.own, mask, held, cancelled)?;
+            let mesh = (method.bytes)(&self.own, mask, held, cancelled);
+            let mesh = mesh.ok_or(WarpError::Cancelled)?;
             let kept = system + mask.bytes() + mesh;
-            return Some(FieldBytes { peak: kept, kept });
+            return Ok(FieldBytes { peak: kept, kept });
         }
-        let nodes = Nodes::count(mask, Nodes::stride_of(mask), cancelled)?;
+        let nodes = Nodes::count(mask, Nodes::stride_of(mask), cancelled);
+        let nodes = nodes.ok_or(WarpError::Cancelled)?;
         let columns: u64 = self.p.iter().map(|handle| handle.columns() as u64).sum();
         // More is refused.
         let of_nodes = |of_node: u64| {
@@ -161,15 +158,18 @@ impl RestSpec {
             nodes.saturating_mul(of_node).min(limits.plan_bytes)
         };
         // A grid that is wrong is refused before it is cut.
-        let grid = resolve_grid(self, mask, limits).ok();
-        let cut = match grid.map(|grid| grid.cell().0) {
-            Some(side) => CutRest::bytes_for(mask, side, limits.plan_bytes, cancelled)?,
-            None => 0,
+        let (peak, kept) = match resolve_grid(self, mask, limits) {
+            Ok(grid) => {
+                let side = whole(grid.cell().0);
+                let size = CutRest::size(mask, side, limits, cancelled)?;
+                (size.bytes(side), size.kept_bytes(side))
+            }
+            Err(_) => (0, 0),
         };
-        let (of_mask, cut) = (system + mask.bytes(), cut.min(limits.plan_bytes));
-        Some(FieldBytes {
-            peak: of_mask + of_nodes(Nodes::bytes_for(1)) + cut,
-            kept: of_mask + of_nodes(Nodes::kept_bytes(1)) + cut / 2,
+        let of_mask = system + mask.bytes();
+        Ok(FieldBytes {
+            peak: of_mask + of_nodes(Nodes::bytes_for(1)) + peak,
+            kept: of_mask + of_nodes(Nodes::kept_bytes(1)) + kept,
         })
     }
 }

@@ -271,6 +271,33 @@ fn what_has_no_distances_inside_the_mask_is_refused() {
 }
 
 #[test]
+fn a_grid_whose_quads_take_too_much_memory_is_refused() {
+    let [even, odd] = ["10", "01"].map(|pair| pair.repeat(150));
+    let rows: Vec<&str> = [&*even, &*odd].into_iter().cycle().take(300).collect();
+    let mask = mask(&rows);
+    let rest = RestSpec {
+        grid: GridSpec::Cell(128.0),
+        ..inside(points(&[(0.5, 0.5)]), Method::Rigid, &mask)
+    };
+    let limits = Limits {
+        plan_bytes: 64 << 20,
+        ..Limits::default()
+    };
+    let is_refused = |error: &WarpError| {
+        matches!(error, WarpError::TooLarge { what: "plan_bytes", limit, actual }
+            if *limit == 64 << 20 && actual > limit)
+    };
+    let refused = rest.field_bytes(&limits, &|| false).unwrap_err();
+    assert!(is_refused(&refused), "{refused:?}");
+    let refused = ResolvedRest::new(&rest, extent(&mask), &limits).unwrap_err();
+    assert!(is_refused(&refused), "{refused:?}");
+    let stopped = rest.field_bytes(&limits, &|| true);
+    assert_eq!(stopped.unwrap_err(), WarpError::Cancelled);
+    let bytes = rest.field_bytes(&Limits::default(), &|| false).unwrap();
+    assert!(bytes.peak > 300 * 150 * 2048 && bytes.kept < bytes.peak);
+}
+
+#[test]
 fn lines_act_inside_a_mask_as_points_do() {
     let mask = mask(&LEGS);
     let line = |places: &[(f64, f64)]| {

@@ -75,8 +75,7 @@ impl Plans {
             _ => None,
         };
         let rest = with_mask.as_ref().unwrap_or(rest);
-        let bytes = rest.field_bytes(&self.limits, &is_cancelled);
-        let bytes = bytes.ok_or(WarpError::Cancelled)?;
+        let bytes = rest.field_bytes(&self.limits, &is_cancelled)?;
         self.admission.reserve_more(&mut held, bytes.peak)?;
         let new = || ResolvedRest::new_unless(rest, extent, &self.limits, &is_cancelled);
         let setup = if with_mask.is_some() {

@@ -29,7 +29,7 @@ use crate::deform::point_map::{
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handles, IsCancelled, Parameter, Parameters};
 use crate::geometry::{CutCells, Point, Vec2};
-use crate::topology::{CutLattice, Mask};
+use crate::topology::{CutLattice, LatticeSize, Mask};
 
 /// In keys of plans and digests of handles at rest.
 const IDENTITY: u64 = 64;
@@ -116,10 +116,19 @@ fn bytes_for(
     held: u64,
     cancelled: IsCancelled<'_>,
 ) -> Option<u64> {
-    let quads = CutLattice::count(mask, side(given, mask), MAX_VERTICES, cancelled)?;
-    // More are refused. A part of k quads has at most 2 k + 2 vertices, most have little more than
-    // k.
-    Some(bytes_of((2 * quads as u64).min(MAX_VERTICES as u64), held))
+    let side = side(given, mask);
+    let size = CutLattice::size(mask, side, u64::MAX, cancelled)?;
+    // More are refused.
+    let quads = size.quads.min(MAX_VERTICES as u64);
+    let size = LatticeSize {
+        quads,
+        sets: size.sets.min(quads),
+        split: size.split.min(quads),
+        ..size
+    };
+    // A part of k quads has at most 2 k + 2 vertices, most have little more than k.
+    let vertices = (2 * quads).min(MAX_VERTICES as u64);
+    Some(bytes_of(vertices, held) + size.bytes(side))
 }
 
 /// Without a mask there is no mesh: this describes handles only.
