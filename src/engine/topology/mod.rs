@@ -6,6 +6,7 @@ mod distance;
 mod drawn_cells;
 mod lattice;
 mod mask;
+mod neighbours;
 mod nodes;
 mod pixel;
 mod sight;
@@ -19,7 +20,7 @@ pub const POSITION_TO_MASK_PX: f64 = 16.0;
 pub use distance::{Distances, OutsideMask, PathOrigin};
 pub use lattice::{CutLattice, LatticeSize, MAX_SPACING, Quad};
 pub use mask::{Mask, Membership};
-pub use nodes::{NoNodes, Nodes};
+pub use nodes::{NoNodes, Nodes, NodesSize};
 
 #[cfg(test)]
 mod tests;

@@ -11,14 +11,12 @@ use crate::geometry::{PIXEL_CENTER, Point};
 
 /// Masks of at most this many pixels have a node at each.
 const FINE_PIXELS: usize = 60_000;
-/// Pairs of neighbours after which somebody is asked whether the work is still needed.
-const PAIRS_PER_CHECK: usize = 1 << 16;
 
 /// The nodes of a mask and which of them are neighbours.
 #[derive(Debug)]
 pub struct Nodes {
-    mask: Arc<Mask>,
-    stride: usize,
+    pub(super) mask: Arc<Mask>,
+    pub(super) stride: usize,
     /// Blocks in a row of blocks.
     blocks: usize,
     /// The first node of each block, blocks row by row.
@@ -27,11 +25,31 @@ pub struct Nodes {
     /// row; ascending.
     split: Vec<(u32, Box<[u16]>)>,
     /// Components first, then corners row by row.
-    positions: Vec<Point>,
+    pub(super) positions: Vec<Point>,
     /// The first corner of each line between rows of pixels.
-    first_corner: Vec<u32>,
-    first_neighbour: Vec<u32>,
-    neighbours: Vec<u32>,
+    pub(super) first_corner: Vec<u32>,
+    pub(super) first_neighbour: Vec<u32>,
+    pub(super) neighbours: Vec<u32>,
+}
+
+/// What the memory of the nodes of a mask depends on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NodesSize {
+    /// Nodes.
+    pub nodes: u64,
+    /// Blocks of the image.
+    pub blocks: u64,
+    /// Blocks with several components: each has the components of its pixels.
+    pub split: u64,
+}
+
+impl NodesSize {
+    /// Bytes of what is known of blocks of `stride` px, beside the nodes.
+    #[must_use]
+    pub const fn block_bytes(&self, stride: usize) -> u64 {
+        // Vectors grow by doubling.
+        4 * self.blocks + (2 * (stride as u64 * stride as u64) + 64) * self.split
+    }
 }
 
 /// Why there are no nodes.
@@ -44,13 +62,13 @@ pub enum NoNodes {
 }
 
 impl Nodes {
-    /// Bytes that this many nodes take, with what their construction needs.
+    /// Bytes that this many nodes take, with what their construction needs, beside those of blocks.
     #[must_use]
     pub const fn bytes_for(nodes: u64) -> u64 {
         nodes * 200
     }
 
-    /// Bytes that this many nodes hold.
+    /// Bytes that this many nodes hold, beside those of blocks.
     #[must_use]
     pub const fn kept_bytes(nodes: u64) -> u64 {
         nodes * 72
@@ -66,14 +84,24 @@ impl Nodes {
         stride
     }
 
-    /// The number of nodes of a mask with blocks of `stride` px; `None` when cancelled. O(pixels).
+    /// What the nodes of a mask with blocks of `stride` px take; `None` when cancelled. O(pixels),
+    /// in little memory.
     #[must_use]
-    pub fn count(mask: &Arc<Mask>, stride: usize, cancelled: &dyn Fn() -> bool) -> Option<u64> {
-        match Self::new(Arc::clone(mask), stride, 0, cancelled) {
-            Ok(nodes) => Some(nodes.len() as u64),
-            Err(NoNodes::TooMany(nodes)) => Some(nodes),
-            Err(NoNodes::Cancelled) => None,
-        }
+    pub fn size(
+        mask: &Arc<Mask>,
+        stride: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<NodesSize> {
+        let mut nodes = Self::none(Arc::clone(mask), stride);
+        let mut size = NodesSize::default();
+        let count = |found: &[(usize, usize)], _: &[u16]| {
+            size.blocks += 1;
+            size.nodes += found.len() as u64;
+            size.split += u64::from(found.len() > 1);
+        };
+        nodes.each_block(cancelled, count).ok()?;
+        size.nodes += nodes.find_corners(0, 0, cancelled).ok()? as u64;
+        Some(size)
     }
 
     /// The nodes of a mask with blocks of `stride` px, at most `most`.
@@ -86,19 +114,7 @@ impl Nodes {
         most: usize,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, NoNodes> {
-        let (width, height) = mask.size();
-        let stride = stride.clamp(1, 255);
-        let mut nodes = Self {
-            stride,
-            blocks: width.div_ceil(stride),
-            first_node: Vec::new(),
-            split: Vec::new(),
-            positions: Vec::new(),
-            first_corner: Vec::with_capacity(height + 2),
-            first_neighbour: Vec::new(),
-            neighbours: Vec::new(),
-            mask,
-        };
+        let mut nodes = Self::none(mask, stride);
         let components = nodes.find_components(most, cancelled)?;
         let all = nodes.find_corners(components, most, cancelled)?;
         if all > most.min(u32::MAX as usize / 16) {
@@ -108,15 +124,29 @@ impl Nodes {
         Ok(nodes)
     }
 
-    /// Adds a node for each component of each block, as long as there are at most `most`; counts
-    /// all.
-    fn find_components(
-        &mut self,
-        most: usize,
+    fn none(mask: Arc<Mask>, stride: usize) -> Self {
+        let (width, height) = mask.size();
+        let stride = stride.clamp(1, 255);
+        Self {
+            stride,
+            blocks: width.div_ceil(stride),
+            first_node: Vec::new(),
+            split: Vec::new(),
+            positions: Vec::new(),
+            first_corner: Vec::with_capacity(height + 2),
+            first_neighbour: Vec::new(),
+            neighbours: Vec::new(),
+            mask,
+        }
+    }
+
+    /// Finds the components of each block: a pixel of each, and the component of each pixel.
+    fn each_block(
+        &self,
         cancelled: &dyn Fn() -> bool,
-    ) -> Result<usize, NoNodes> {
+        mut visit: impl FnMut(&[(usize, usize)], &[u16]),
+    ) -> Result<(), NoNodes> {
         let (width, height) = self.mask.size();
-        let mut count = 0;
         let mut labels = vec![NO_COMPONENT; self.stride * self.stride];
         let mut found = Vec::new();
         for y0 in (0..height).step_by(self.stride) {
@@ -124,21 +154,37 @@ impl Nodes {
                 return Err(NoNodes::Cancelled);
             }
             for x0 in (0..width).step_by(self.stride) {
-                let block = self.first_node.len();
-                self.first_node.push(number(count.min(most)));
                 found.clear();
                 self.components_of([x0, y0], &mut labels, &mut found);
-                count += found.len();
-                if count <= most {
-                    self.positions.extend(found.iter().copied().map(center));
-                    if found.len() > 1 {
-                        self.split
-                            .push((number(block), labels.clone().into_boxed_slice()));
-                    }
-                }
+                visit(&found, &labels);
             }
         }
-        self.first_node.push(number(count.min(most)));
+        Ok(())
+    }
+
+    /// Adds a node for each component of each block, as long as there are at most `most`; counts
+    /// all.
+    fn find_components(
+        &mut self,
+        most: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<usize, NoNodes> {
+        let (mut count, mut split, mut positions) = (0, Vec::new(), Vec::new());
+        let all = self.blocks * self.mask.size().1.div_ceil(self.stride);
+        let mut first_node = Vec::with_capacity(all + 1);
+        self.each_block(cancelled, |found, labels| {
+            let block = number(first_node.len());
+            first_node.push(number(count.min(most)));
+            count += found.len();
+            if count <= most {
+                positions.extend(found.iter().copied().map(center));
+                if found.len() > 1 {
+                    split.push((block, labels.into()));
+                }
+            }
+        })?;
+        first_node.push(number(count.min(most)));
+        (self.first_node, self.split, self.positions) = (first_node, split, positions);
         Ok(count)
     }
 
@@ -261,113 +307,6 @@ impl Nodes {
         Ok(count)
     }
 
-    fn connect(&mut self, cancelled: &dyn Fn() -> bool) -> Result<(), NoNodes> {
-        let (width, height) = self.mask.size();
-        let mut pairs = Vec::new();
-        for y in 0..height {
-            if cancelled() {
-                return Err(NoNodes::Cancelled);
-            }
-            for x in 0..width {
-                self.pairs_from(x, y, &mut pairs);
-            }
-        }
-        for y in 0..=height {
-            for corner in self.first_corner[y]..self.first_corner[y + 1] {
-                let [x, y] = self.corner_at(corner);
-                for (x, y) in pixels_around(x, y) {
-                    if let Some(node) = self.node_at(x, y) {
-                        pairs.push((corner, node));
-                    }
-                }
-            }
-        }
-        self.list_neighbours(&pairs, cancelled)
-    }
-
-    /// The neighbours of each node, ascending, from pairs that may be repeated.
-    fn list_neighbours(
-        &mut self,
-        pairs: &[(u32, u32)],
-        cancelled: &dyn Fn() -> bool,
-    ) -> Result<(), NoNodes> {
-        let mut end = vec![0_u32; self.positions.len() + 1];
-        for (a, b) in pairs {
-            end[*a as usize + 1] += 1;
-            end[*b as usize + 1] += 1;
-        }
-        for k in 1..end.len() {
-            end[k] += end[k - 1];
-        }
-        let mut all = vec![0; 2 * pairs.len()];
-        for pairs in pairs.chunks(PAIRS_PER_CHECK) {
-            if cancelled() {
-                return Err(NoNodes::Cancelled);
-            }
-            for (a, b) in pairs {
-                for (from, to) in [(a, b), (b, a)] {
-                    let at = &mut end[*from as usize];
-                    all[*at as usize] = *to;
-                    *at += 1;
-                }
-            }
-        }
-        // Each end has moved to that of its own node.
-        self.first_neighbour = Vec::with_capacity(end.len());
-        let (mut first, mut kept) = (0, 0);
-        for (node, end) in end[..self.positions.len()].iter().enumerate() {
-            if node.is_multiple_of(PAIRS_PER_CHECK) && cancelled() {
-                return Err(NoNodes::Cancelled);
-            }
-            let own = first..*end as usize;
-            first = own.end;
-            all[own.clone()].sort_unstable();
-            self.first_neighbour.push(number(kept));
-            let mut last = None;
-            for at in own {
-                if last != Some(all[at]) {
-                    last = Some(all[at]);
-                    all[kept] = all[at];
-                    kept += 1;
-                }
-            }
-        }
-        self.first_neighbour.push(number(kept));
-        all.truncate(kept);
-        self.neighbours = all;
-        Ok(())
-    }
-
-    /// Where a pixel touches pixels to its right or below that are of another node.
-    fn pairs_from(&self, x: usize, y: usize, pairs: &mut Vec<(u32, u32)>) {
-        let (right, below) = (
-            (x + 1).is_multiple_of(self.stride),
-            (y + 1).is_multiple_of(self.stride),
-        );
-        if !(right || below || x.is_multiple_of(self.stride)) {
-            return;
-        }
-        let Some(node) = self.node_at(x, y) else {
-            return;
-        };
-        let inside = |x: usize, y: usize| self.mask.is_inside(x, y);
-        let left = x.wrapping_sub(1);
-        let touching = [
-            (x + 1, y, true),
-            (x, y + 1, true),
-            (x + 1, y + 1, inside(x + 1, y) || inside(x, y + 1)),
-            (left, y + 1, inside(left, y) || inside(x, y + 1)),
-        ];
-        for (x, y, touches) in touching {
-            if touches
-                && let Some(other) = self.node_at(x, y)
-                && other != node
-            {
-                pairs.push((node, other));
-            }
-        }
-    }
-
     /// The node of a pixel; `None` if it is not inside.
     #[must_use]
     pub fn node_at(&self, x: usize, y: usize) -> Option<u32> {
@@ -397,7 +336,7 @@ impl Nodes {
     }
 
     /// The lines of the pixel lattice that meet at a corner.
-    fn corner_at(&self, corner: u32) -> [usize; 2] {
+    pub(super) fn corner_at(&self, corner: u32) -> [usize; 2] {
         let Point { x, y } = self.position(corner);
         #[expect(
             clippy::cast_possible_truncation,
@@ -447,7 +386,7 @@ impl Nodes {
 }
 
 /// The pixels around a corner: above it left and right, then below it.
-const fn pixels_around(x: usize, y: usize) -> [(usize, usize); 4] {
+pub(super) const fn pixels_around(x: usize, y: usize) -> [(usize, usize); 4] {
     [(x - 1, y - 1), (x, y - 1), (x - 1, y), (x, y)]
 }
 
@@ -463,6 +402,6 @@ const fn labels_of(component: usize) -> u16 {
 
 /// A number of nodes, which `Nodes::new` limits.
 #[expect(clippy::cast_possible_truncation, reason = "limited by Nodes::new")]
-const fn number(k: usize) -> u32 {
+pub(super) const fn number(k: usize) -> u32 {
     k as u32
 }

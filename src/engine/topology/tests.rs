@@ -252,6 +252,12 @@ fn hostile_masks_take_bounded_work_and_memory() {
     let mask = Arc::new(Mask::new(600, 400, checkerboard, &|| false).unwrap());
     let too_many = Nodes::new(Arc::clone(&mask), Nodes::stride_of(&mask), 1000, &|| false);
     assert_eq!(too_many.unwrap_err(), NoNodes::TooMany(120_000));
+    let stride = Nodes::stride_of(&mask);
+    let size = Nodes::size(&mask, stride, &|| false).unwrap();
+    assert_eq!((size.nodes, size.split), (120_000, size.blocks));
+    let all = Nodes::new(Arc::clone(&mask), stride, 1 << 20, &|| false).unwrap();
+    assert!(all.bytes() <= Nodes::kept_bytes(size.nodes) + size.block_bytes(stride));
+    assert!(Nodes::size(&mask, stride, &|| true).is_none());
     assert!(CutLattice::new(&mask, 8, 1000, &|| false).is_none());
     let all = CutLattice::new(&mask, 8, 1 << 20, &|| false).unwrap();
     assert_eq!((all.quads().len(), all.parts()), (120_000, 120_000));

@@ -149,13 +149,13 @@ impl RestSpec {
             let kept = system + mask.bytes() + mesh;
             return Ok(FieldBytes { peak: kept, kept });
         }
-        let nodes = Nodes::count(mask, Nodes::stride_of(mask), cancelled);
-        let nodes = nodes.ok_or(WarpError::Cancelled)?;
+        let stride = Nodes::stride_of(mask);
+        let nodes = Nodes::size(mask, stride, cancelled).ok_or(WarpError::Cancelled)?;
         let columns: u64 = self.p.iter().map(|handle| handle.columns() as u64).sum();
         // More is refused.
         let of_nodes = |of_node: u64| {
             let of_node = of_node + Distances::bytes_for(1) * columns;
-            nodes.saturating_mul(of_node).min(limits.plan_bytes)
+            nodes.nodes.saturating_mul(of_node).min(limits.plan_bytes)
         };
         // A grid that is wrong is refused before it is cut.
         let (peak, kept) = match resolve_grid(self, mask, limits) {
@@ -166,7 +166,7 @@ impl RestSpec {
             }
             Err(_) => (0, 0),
         };
-        let of_mask = system + mask.bytes();
+        let of_mask = system + mask.bytes() + nodes.block_bytes(stride);
         Ok(FieldBytes {
             peak: of_mask + of_nodes(Nodes::bytes_for(1)) + peak,
             kept: of_mask + of_nodes(Nodes::kept_bytes(1)) + kept,
