@@ -37,6 +37,9 @@ const IDENTITY: u64 = 64;
 const DEFAULT_CELLS: f64 = 3000.0;
 /// Default sides lie between these, px.
 const DEFAULT_SIDES: (f64, f64) = (4.0, 32.0);
+/// Operations for the quad of a position: beside the mask, the nearest pixel of the mask is sought
+/// among a thousand.
+const QUAD_OPERATIONS: u64 = 400;
 const WITHOUT_TABLE: &str =
     "the method `arap` has no table of coefficients: its second step is not linear in `q`";
 
@@ -246,6 +249,10 @@ impl PointMap for AsRigidAsPossible {
 
     fn without_table(&self) -> Option<&'static str> {
         Some(WITHOUT_TABLE)
+    }
+
+    fn operations(&self, _columns: u64) -> u64 {
+        QUAD_OPERATIONS
     }
 
     fn posed<'a>(
