@@ -115,6 +115,11 @@ impl CutRest {
         Some((Mesh::cut(cut), quality))
     }
 
+    /// Number of vertices.
+    pub(super) fn vertices(&self) -> u64 {
+        self.cells.len() as u64
+    }
+
     /// Memory of a posed mesh until it is drawn, bytes.
     pub(super) fn posed_bytes(&self) -> u64 {
         // Displacements and corners of vertices, and the corners of quads.

@@ -278,7 +278,7 @@ impl ResolvedRest {
             Task::Survey,
             self.max_work,
             frames
-                .saturating_mul(self.grid.len() as u64)
+                .saturating_mul(self.posed_vertices())
                 .saturating_mul(of_vertex),
         )
     }
@@ -291,8 +291,15 @@ impl ResolvedRest {
         work::at_most(
             Task::Quality,
             self.max_work,
-            (self.grid.len() as u64).saturating_mul(work::CELL_OPERATIONS),
+            self.posed_vertices().saturating_mul(work::CELL_OPERATIONS),
         )
+    }
+
+    /// Vertices that are posed: of a cut grid those of its quads, which may be fewer or more than
+    /// those of its cells.
+    fn posed_vertices(&self) -> u64 {
+        let own = || self.grid.len() as u64;
+        self.cut.as_ref().map_or_else(own, |cut| cut.vertices())
     }
 
     pub(super) const fn max_work(&self) -> u64 {
