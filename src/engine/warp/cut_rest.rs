@@ -19,6 +19,7 @@ use crate::topology::{CutLattice, Distances, LatticeSize, MAX_SPACING, Mask, Nod
 const QUADS: usize = 40_000;
 const MOST_CELLS: usize = 1 << 21;
 const LEAST_CELL: u32 = 2;
+const GRID_VERTICES: &str = "grid_vertices";
 /// The pixel of a vertex that no handle moves.
 const AT_REST: u32 = u32::MAX - 1;
 
@@ -272,7 +273,9 @@ pub(super) fn resolve_grid(
     limits: &Limits,
 ) -> Result<Grid, WarpError> {
     if let Some(method) = &rest.method.info().mesh {
-        return resolve_mesh_grid(rest, method, mask);
+        let grid = resolve_mesh_grid(rest, method, mask)?;
+        at_most(GRID_VERTICES, limits.plan_bytes / 8, grid.len() as u64)?;
+        return Ok(grid);
     }
     let side = match rest.grid {
         GridSpec::Auto => {
@@ -301,7 +304,7 @@ pub(super) fn resolve_grid(
     };
     let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
     let grid = Grid::with_cell(width, height, f64::from(side));
-    at_most("grid_vertices", limits.plan_bytes / 8, grid.len() as u64)?;
+    at_most(GRID_VERTICES, limits.plan_bytes / 8, grid.len() as u64)?;
     Ok(grid)
 }
 
