@@ -62,6 +62,13 @@ impl Distances {
         12 * nodes
     }
 
+    /// Bytes that the search for the distances from one handle needs beside them: nodes wait for
+    /// their turn, some of them several times.
+    #[must_use]
+    pub const fn search_bytes(nodes: u64) -> u64 {
+        16 * nodes
+    }
+
     /// Operations of the distances from one handle: for each node a few lines of sight.
     #[must_use]
     pub fn operations(nodes: &Nodes) -> u64 {

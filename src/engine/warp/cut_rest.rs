@@ -172,9 +172,13 @@ impl RestSpec {
             }
             Err(_) => (0, 0),
         };
+        // One search runs on each thread, of at most as many nodes as are not refused.
+        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let most_nodes = nodes.nodes.min(limits.plan_bytes / Nodes::bytes_for(1));
+        let searching = Distances::search_bytes(most_nodes) * columns.min(threads as u64);
         let of_mask = system + mask.bytes() + nodes.block_bytes(stride);
         Ok(FieldBytes {
-            peak: of_mask + of_nodes(Nodes::bytes_for(1)) + peak,
+            peak: of_mask + of_nodes(Nodes::bytes_for(1)) + searching + peak,
             kept: of_mask + of_nodes(Nodes::kept_bytes(1)) + kept,
         })
     }
