@@ -1,5 +1,5 @@
-//! What the quads of the cut lattice draw, and what their vertices belong to. Every pixel is looked at
-//! once for all quads of its cell, so that work does not grow with their number.
+//! What the quads of the cut lattice draw, and what their vertices belong to. Every pixel is looked
+//! at once for all quads of its cell, so that work does not grow with their number.
 
 use super::lattice::{CheckedWork, index};
 use super::pixel::nearest_of_pixel;

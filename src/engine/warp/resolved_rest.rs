@@ -274,13 +274,9 @@ impl ResolvedRest {
         } else {
             work::of_position(&self.field)
         };
-        work::at_most(
-            Task::Survey,
-            self.max_work,
-            frames
-                .saturating_mul(self.posed_vertices())
-                .saturating_mul(of_vertex),
-        )
+        let vertices = frames.saturating_mul(self.posed_vertices());
+        let operations = vertices.saturating_mul(of_vertex);
+        work::at_most(Task::Survey, self.max_work, operations)
     }
 
     /// Checks the work of measuring a posed grid.
@@ -295,8 +291,7 @@ impl ResolvedRest {
         )
     }
 
-    /// Vertices that are posed: of a cut grid those of its quads, which may be fewer or more than
-    /// those of its cells.
+    /// Vertices that are posed: of a cut grid those of its quads, not of its cells.
     fn posed_vertices(&self) -> u64 {
         let own = || self.grid.len() as u64;
         self.cut.as_ref().map_or_else(own, |cut| cut.vertices())
