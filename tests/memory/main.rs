@@ -44,7 +44,9 @@ const REST: [[f64; 2]; 12] = [
 fn memory_of_a_drag_is_bounded_and_of_many_flat() {
     allocator::leave_this_thread_out();
     let full = std::env::var_os("MLSWARP_TESTS_FULL").is_some();
-    let config = Config::read(["mlswarp", "--listen", "127.0.0.1:0"]).unwrap();
+    // On a busy machine four clients wait for two workers.
+    let patient = ["mlswarp", "--listen", "127.0.0.1:0", "--drag-wait", "1m"];
+    let config = Config::read(patient).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
