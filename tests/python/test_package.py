@@ -297,10 +297,17 @@ def test_workers_work(method):
 
 def test_the_number_of_threads():
     code = """
-import os, mlswarp
+import os, time, mlswarp
 plan = mlswarp.Plan([[9, 9]], size=(300, 300))
-named = [open(f"/proc/self/task/{t}/comm").read() for t in os.listdir("/proc/self/task")]
-print(mlswarp.get_num_threads(), sum(name.startswith("mlswarp") for name in named))
+def named():
+    names = [open(f"/proc/self/task/{t}/comm").read() for t in os.listdir("/proc/self/task")]
+    return sum(name.startswith("mlswarp") for name in names)
+# A thread takes its name when it begins to run.
+for _ in range(500):
+    if named() >= mlswarp.get_num_threads():
+        break
+    time.sleep(0.01)
+print(mlswarp.get_num_threads(), named())
 mlswarp.set_num_threads(2)
 print(mlswarp.get_num_threads())
 """

@@ -55,9 +55,10 @@ def test_files_of_other_formats_too(server, cat, output):
 
 def test_what_follows_the_outline_of_the_image(server):
     image = (ROOT / "tests/images/horse-cutout.png").read_bytes()
-    warp = json.loads((ROOT / "api/examples/giraffe.json").read_text())
-    warp = {"p": warp["p"], "q": warp["q"], "metric": "geodesic"}
-    assert mlswarp.warp_file(image, warp) == server.upload("/warp", image=image, warp=warp)[2]
+    p, q = [[330, 215], [545, 300], [600, 120]], [[330, 215], [545, 310], [620, 110]]
+    for warp in ({"metric": "geodesic"}, {"method": "arap"}):
+        warp = {"p": p, "q": q} | warp
+        assert mlswarp.warp_file(image, warp) == server.upload("/warp", image=image, warp=warp)[2]
 
 
 def test_a_method_that_is_chosen(server, cat):
