@@ -52,14 +52,12 @@ def test_a_spline_takes_pins_only(bent):
     )
     bent.page.click("#pin-border")
     bent.ready()
-    assert not usable("method-tps") and "Spline and Global are for pins only" in bent.text(
+    assert not usable("method-tps") and "Spline, Global and Puppet are for pins only" in bent.text(
         "method-note"
     )
     bent.page.click("#undo")
     bent.ready()
-    assert usable("method-tps") and "Spline and Global are for pins only" not in bent.text(
-        "method-note"
-    )
+    assert usable("method-tps") and "are for pins only" not in bent.text("method-note")
     bent.page.keyboard.press("Escape")
     bent.click(*BLUE)
     assert bent.page.locator("#rotate-left").is_visible()

@@ -150,11 +150,11 @@ BROKEN = [
     ),
     (b'{"p": [[[1, 2], [3]]]}', 1, 17, "a position [x, y] of two numbers is expected for p[0][1]."),
     (
-        b'{"p": [[1, 2]], "method": "arap"}',
+        b'{"p": [[1, 2]], "method": "idw2"}',
         1,
         27,
-        'one of "rigid", "similarity", "affine", "tps", "global_affine", "beier_neely" is expected '
-        "for method.",
+        'one of "rigid", "similarity", "affine", "tps", "global_affine", "beier_neely", '
+        '"arap" is expected for method.',
     ),
     (
         b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}',
