@@ -1,4 +1,4 @@
-"""Firefox and WebKitGTK (the engine of Safari) by WebDriver, with Debian's browsers on a virtual
+"""Firefox and WebKitGTK (the engine of Safari) by Selenium, with Debian's browsers on a virtual
 display, where both have WebGL."""
 
 import io
@@ -14,15 +14,12 @@ from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
-from selenium.webdriver.firefox.service import Service as FirefoxService
 from selenium.webdriver.webkitgtk.options import Options as WebKitOptions
 from selenium.webdriver.webkitgtk.service import Service as WebKitService
 
+import marionette
 from support import DEADLINE, KEPT, Look
 
-# Debian has no geckodriver, and the packages of npm and PyPI download a binary: built from
-# crates.io, once.
-GECKODRIVER = "0.37.1"
 SIZE = (1280, 900)
 
 # Records the errors of a page after it has loaded, and the sources of its pictures (`data-source`).
@@ -73,32 +70,6 @@ def program(name):
     return path
 
 
-def geckodriver():
-    root = KEPT / "geckodriver"
-    built = root / "bin" / "geckodriver"
-    known = (
-        built.exists()
-        and subprocess.run(
-            [built, "--version"], capture_output=True, text=True, check=True
-        ).stdout.split()[1]
-    )
-    if known != GECKODRIVER:
-        command = [
-            "cargo",
-            "install",
-            "geckodriver",
-            "--version",
-            GECKODRIVER,
-            "--locked",
-            "--debug",
-            "--force",
-            "--root",
-            root,
-        ]
-        subprocess.run(command, env={**os.environ, "CARGO_PROFILE_DEV_DEBUG": "false"}, check=True)
-    return built
-
-
 def minibrowser():
     found = sorted(Path("/usr/lib").glob("*/webkit2gtk-4.*/MiniBrowser"))
     assert found, "there is no MiniBrowser: tests/run installs webkit2gtk-driver"
@@ -121,19 +92,19 @@ def environment(name, folder):
 
 
 def firefox(name, folder):
-    options = webdriver.FirefoxOptions()
-    options.binary_location = program("firefox-esr")
     preferences = {
         "browser.download.folderList": 2,
         "browser.download.dir": str(folder / "downloads"),
         "browser.download.always_ask_before_handling_new_types": False,
     }
-    for key, value in preferences.items():
-        options.set_preference(key, value)
-    service = FirefoxService(
-        str(geckodriver()), log_output=str(KEPT / "firefox.log"), env=environment(name, folder)
+    return marionette.firefox(
+        program("firefox-esr"),
+        folder / "profile",
+        preferences,
+        KEPT / "firefox.log",
+        environment(name, folder),
+        DEADLINE,
     )
-    return webdriver.Firefox(options=options, service=service)
 
 
 def webkit(name, folder):
