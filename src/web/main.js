@@ -254,10 +254,12 @@ for (const bar of findAll(
     bar.contains(document.activeElement) &&
     store.state.phase === "open" &&
     stage.focus({ preventScroll: true });
-  bar.addEventListener("click", ({ detail }) => {
+  bar.addEventListener("click", ({ detail, target }) => {
     if (detail === 0) return;
     giveBack();
-    setTimeout(giveBack); // a label focuses its radio button after this
+    // A label focuses its radio button after this. What has the focus otherwise was given it since.
+    const control = target instanceof Element ? target.closest("label")?.control : null;
+    if (control) setTimeout(() => document.activeElement === control && giveBack());
     document.querySelector("dialog[open]")?.addEventListener("close", giveBack, { once: true });
   });
 }

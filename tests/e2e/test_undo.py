@@ -127,6 +127,22 @@ def test_closing_is_taken_back_by_keys_alone(bent):
     assert whole(bent) == before
 
 
+def test_a_click_takes_no_focus_that_was_given_after_it(visits, picture):
+    """Browsers run what a page does after a click when they have drawn, which may be later than the
+    next action."""
+    visit = visits()
+    late = "{ const now = setTimeout; window.setTimeout = (f, ms = 0) => now(f, ms + 500); }"
+    visit.page.add_init_script(late)
+    visit.page.reload()
+    visit.open(picture)
+    visit.saved("download")
+    visit.page.focus("#close")
+    # The timer has run that was set before this one.
+    visit.page.evaluate("new Promise((then) => setTimeout(then))")
+    visit.keys("Enter")
+    visit.body("[data-state=empty]")
+
+
 def test_closing_is_taken_back_by_fingers(visits, picture):
     phone = visits(**PHONE).open(picture)
     fingers = Fingers(phone)
