@@ -14,6 +14,7 @@ use thiserror::Error;
 
 use super::client_quota::{ClientQuota, QuotaKind};
 use super::free::free;
+use super::freed::FREED;
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry.
@@ -250,14 +251,17 @@ impl Reservation {
         let limit = purpose.share(state.total);
         let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
         // The total decides; `by_purpose` follows.
-        if let Err(taken) = state
+        match state
             .taken
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
         {
-            if let Some(quota) = &self.quota {
-                quota.release(more);
+            Ok(before) => FREED.look(before + more, state.total),
+            Err(taken) => {
+                if let Some(quota) = &self.quota {
+                    quota.release(more);
+                }
+                return Err(exceeded(None, limit, taken));
             }
-            return Err(exceeded(None, limit, taken));
         }
         state.by_purpose[purpose as usize].fetch_add(more, Ordering::Relaxed);
         self.bytes = asked;
@@ -267,6 +271,7 @@ impl Reservation {
     /// Releases all but `bytes`.
     pub fn shrink_to(&mut self, bytes: u64) {
         let less = self.bytes.saturating_sub(bytes);
+        FREED.add(less);
         self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
         self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
         if let Some(quota) = &self.quota {

@@ -27,6 +27,7 @@ pub mod client_quota;
 pub mod connections;
 mod counts;
 pub mod free;
+pub mod freed;
 pub mod memory;
 pub mod networks;
 pub mod rate_limit;
