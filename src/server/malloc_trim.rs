@@ -50,10 +50,7 @@ pub(crate) fn start() {
             malloc_trim(0);
         }
     };
-    if let Err(error) = thread::Builder::new()
-        .name("heap".to_owned())
-        .spawn(trims)
-    {
+    if let Err(error) = thread::Builder::new().name("heap".to_owned()).spawn(trims) {
         tracing::warn!(%error, "memory that is freed is not given back");
     }
 }

@@ -105,7 +105,9 @@ async function shown(address) {
     `--user-data-dir=${join(work, "chromium")}`,
     address,
   ]);
-  const late = new Promise((resolve) => setTimeout(resolve, 60_000, "nothing within a minute"));
+  const late = new Promise((resolve) =>
+    setTimeout(resolve, 300_000, "nothing within five minutes"),
+  );
   const text = await Promise.race([report, late]);
   const ended = once(browser, "exit");
   browser.kill();
