@@ -52,7 +52,7 @@ fn tables() {
     let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 100, 100);
     for n in [7, 11, 100] {
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = CoefficientTable::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
         let single = |list: &[Point]| {
@@ -72,7 +72,7 @@ fn tables() {
                 black_box(read(black_box(&table)));
             }),
             contender("mlswarp", || {
-                black_box(plan.displace(black_box(&pose)));
+                black_box(plan.displace(black_box(&pose), &|| false));
             }),
         ];
         contenders.push(contender("moving-least-squares 0.1 (f32, rigid)", || {
@@ -138,7 +138,8 @@ fn annotations(report: &mut Report) {
     };
     let side = sets::SIDE as u32;
     let extent = Extent::new(side, side).expect("a size");
-    let setup = ResolvedRest::new(&rest, extent, &Limits::default()).expect("seven points");
+    let setup =
+        ResolvedRest::new(&rest, extent, &Limits::default(), &|| false).expect("seven points");
     let pose = setup
         .pose(
             &sets::points(7)
@@ -148,8 +149,14 @@ fn annotations(report: &mut Report) {
                 .collect::<Vec<_>>(),
         )
         .expect("seven points");
-    let posed =
-        PosedMesh::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
+    let posed = PosedMesh::coarse(
+        &setup,
+        &setup.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
+    .expect("a mesh");
     let place = |k: u32| {
         Point::new(
             f64::from(k * 7919 % 99_991) * sets::SIDE / 99_991.0,
@@ -191,11 +198,11 @@ fn growth(report: &mut Report) {
     let time = |side: u32, n: usize| {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = CoefficientTable::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
         let median = harness::medians(
             31,
             &mut [contender("", || {
-                black_box(plan.displace(black_box(&pose)));
+                black_box(plan.displace(black_box(&pose), &|| false));
             })],
         )[0];
         (median, plan.bytes() as f64 / 1e6)
@@ -244,9 +251,9 @@ fn one_level() {
         .into_iter()
         .map(|n| {
             let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-            let plan = CoefficientTable::of_grid(&field, &grid);
+            let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
             let work = contender("", || {
-                black_box(plan.displace(black_box(&pose)));
+                black_box(plan.displace(black_box(&pose), &|| false));
             });
             harness::time(harness::medians(31, &mut [work])[0])
         })

@@ -108,7 +108,7 @@ impl Scene {
         }
     }
 
-    /// So many clients at once, each on a session of its own.
+    /// Runs `clients` clients at once, each on a session of its own.
     fn run(&self, service: &Service, clients: usize, query: &str) -> Vec<Run> {
         let mut client = Client::connect(service.address);
         let paths: Vec<String> = (0..clients)

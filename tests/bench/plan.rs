@@ -64,7 +64,11 @@ fn main() {
             contenders.push(contender(
                 format!("{name}, {threads} thread(s)"),
                 move || {
-                    pool.install(|| black_box(CoefficientTable::of_grid(black_box(field), &grid)));
+                    pool.install(|| {
+                        black_box(
+                            CoefficientTable::of_grid(black_box(field), &grid, &|| false).unwrap(),
+                        )
+                    });
                 },
             ));
         }

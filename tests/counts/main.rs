@@ -154,9 +154,9 @@ fn grid() -> Grid {
 /// 10,000 vertices posed by 7 points.
 fn deform() {
     let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
-    let plan = CoefficientTable::of_grid(&field, &grid);
+    let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
     measure(|| {
-        black_box(plan.pose(&grid, black_box(&pose)));
+        black_box(plan.pose(&grid, black_box(&pose), &|| false));
     });
 }
 
@@ -164,7 +164,7 @@ fn deform() {
 fn plan() {
     let (grid, (field, _)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
     measure(|| {
-        black_box(CoefficientTable::of_grid(black_box(&field), &grid));
+        black_box(CoefficientTable::of_grid(black_box(&field), &grid, &|| false).unwrap());
     });
 }
 
@@ -172,7 +172,7 @@ fn plan() {
 fn plan_lines() {
     let (grid, (field, _)) = (grid(), sets::line_field(7, Method::Rigid, 2.0));
     measure(|| {
-        black_box(CoefficientTable::of_grid(black_box(&field), &grid));
+        black_box(CoefficientTable::of_grid(black_box(&field), &grid, &|| false).unwrap());
     });
 }
 
@@ -246,8 +246,10 @@ fn source() -> Arc<Source> {
 
 fn mesh() -> Mesh {
     let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
-    CoefficientTable::of_grid(&field, &grid)
-        .pose(&grid, &pose)
+    CoefficientTable::of_grid(&field, &grid, &|| false)
+        .unwrap()
+        .pose(&grid, &pose, &|| false)
+        .unwrap()
         .0
 }
 

@@ -69,7 +69,7 @@ fn reference_cases_of_field_morphing_are_met() {
             case["tolerance"].as_f64().unwrap(),
         );
         let table = CoefficientTable::of_vertices(&field, places.len(), |k| places[k]);
-        let (planned, _) = table.displace(&pose);
+        let (planned, _) = table.displace(&pose, &|| false).unwrap();
         let together = field
             .deformation(&pose)
             .map_all(&places, &|| false)

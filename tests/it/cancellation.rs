@@ -213,7 +213,7 @@ async fn work_ends_when_its_client_leaves() {
         .await;
 }
 
-/// A blend takes its images one after another: whoever leaves after ten of them stops it.
+/// A blend takes its images one after another: a client that leaves after ten of them stops it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_blend_ends_when_its_client_leaves() {
     let victim = Victim::start(&["--max-body-bytes", "256MiB"]);

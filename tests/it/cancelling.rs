@@ -25,15 +25,13 @@ const BOUNDED: [(&str, &str); 6] = [
     ("to_invert(", "the same"),
     ("map_band", "2^16 positions"),
 ];
-/// Functions of the library that have a twin with an argument for cancellation. The offline tool
-/// may call them.
-const TWINS: [&str; 6] = [
-    "ResolvedRest::new(",
-    ".plan()",
-    "CoefficientTable::of_grid(",
+/// Functions of the library that cannot be cancelled, for the offline tool: the service calls what
+/// they are made of.
+const WITHOUT_CANCELLATION: [&str; 4] = [
+    "RestDeformation::new(",
+    "RestDeformation::spline(",
     "Image::decode(",
     "RenderJob::new(",
-    ".reduced(",
 ];
 
 /// The code of a file without comments and unit tests.
@@ -50,10 +48,10 @@ fn code(text: &str) -> String {
 
 /// What is wrong with the code of a file of the service.
 fn offences(code: &str) -> Vec<String> {
-    let mut found: Vec<String> = TWINS
+    let mut found: Vec<String> = WITHOUT_CANCELLATION
         .iter()
-        .filter(|twin| code.contains(*twin))
-        .map(|twin| format!("calls {twin}..)"))
+        .filter(|name| code.contains(*name))
+        .map(|name| format!("calls {name}..)"))
         .collect();
     for (at, _) in code.match_indices("|| false") {
         found.push(format!(
@@ -112,7 +110,7 @@ fn cancelling_is_forgotten_nowhere_in_the_service() {
 #[test]
 fn cancelling_that_is_forgotten_is_seen() {
     for wrong in [
-        "let setup = ResolvedRest::new(&rest, extent, &limits)?;",
+        "let field = RestDeformation::new(handles, method, falloff, 1.0)?;",
         "posed.into_report(canvas, &|| false)?;",
         "ticket.run(move |_| long_work(&rest)).await?",
         "let work = move |_: &_| { long_work(&rest) };",

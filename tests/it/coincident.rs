@@ -2,8 +2,8 @@
 //! conflicting is reported.
 
 use mlswarp::deform::{
-    CoefficientTable, Coincident, DeformError, Falloff, Handle, Handles, Method, RestDeformation,
-    Warning,
+    CoefficientTable, Coincident, DeformError, Falloff, Handle, Handles, Method, Parameters,
+    RestDeformation, Warning,
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
 use proptest::prelude::*;
@@ -34,7 +34,10 @@ fn field(
         within,
         ..Coincident::default()
     };
-    RestDeformation::new_unless(handles, coincident, method, falloff, 30.0, &|| false)
+    let given = Parameters::default()
+        .with("alpha", falloff.alpha())
+        .with("point_mass", 30.0);
+    RestDeformation::of(handles, coincident, method, &given, &|| false)
 }
 
 fn near(found: Point, expected: Point, tolerance: f64) {
@@ -177,7 +180,10 @@ fn the_position_that_lines_share_moves_by_the_weighted_mean() {
         assert_eq!(groups, [(vec![0, 1], 32.0), (vec![0, 2], 48.0)]);
         // The table has the same rows.
         let grid = Grid::with_counts(64.0, 64.0, 5, 5);
-        let (mesh, _) = CoefficientTable::of_grid(&field, &grid).pose(&grid, &pose);
+        let (mesh, _) = CoefficientTable::of_grid(&field, &grid, &|| false)
+            .unwrap()
+            .pose(&grid, &pose, &|| false)
+            .unwrap();
         near(mesh.posed(2, 2), Point::new(38.0, 32.0), 1e-5);
         assert!((0..25).all(|k| mesh.posed(k % 5, k / 5).is_finite()));
     }

@@ -181,7 +181,7 @@ async fn every_member_that_is_a_geometry_is_mapped_and_nothing_else() {
         mapped(&server, &collection(&point(50.0)), json!({})).await,
         collection(&moved)
     );
-    // What looks like a geometry and is none is named, not left behind.
+    // A value that looks like a geometry but is not one is named, not left out silently.
     for (path, feature) in [
         (
             "/nucleusGeometry/coordinates/0",

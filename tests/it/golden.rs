@@ -48,9 +48,16 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(
         Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap(),
     );
-    let setup = ResolvedRest::new(&object.rest, image.extent(), &limits()).unwrap();
+    let setup = ResolvedRest::new(&object.rest, image.extent(), &limits(), &|| false).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
-    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
+    let posed = PosedMesh::new(
+        &setup,
+        &setup.plan(&|| false).unwrap(),
+        &pose,
+        object.folds,
+        &|| false,
+    )
+    .unwrap();
     let warp = RenderJob::new(
         RasterSource::Image(&image),
         &posed,

@@ -147,7 +147,7 @@ async fn damaged_pictures_are_answered_and_leave_the_server_well() {
                 if n >= count {
                     return answers;
                 }
-                // Whoever sends it, the n-th file is always the same.
+                // The n-th file is the same in every run and on every thread.
                 let mut dice = Dice::new(n as u64);
                 let (name, seed) = &zoo[n % zoo.len()];
                 let (_, other) = dice.pick(&zoo);

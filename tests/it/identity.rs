@@ -87,12 +87,17 @@ fn identity_returns_the_decoded_pixels() {
                             grid,
                             ..RestSpec::default()
                         };
-                        let setup = ResolvedRest::new(&rest, extent, &limits()).unwrap();
+                        let setup = ResolvedRest::new(&rest, extent, &limits(), &|| false).unwrap();
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
-                        let posed =
-                            PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false)
-                                .unwrap();
+                        let posed = PosedMesh::new(
+                            &setup,
+                            &setup.plan(&|| false).unwrap(),
+                            &pose,
+                            Folds::Reject,
+                            &|| false,
+                        )
+                        .unwrap();
                         let warp =
                             RenderJob::new(RasterSource::Image(&image), &posed, &output, &limits())
                                 .unwrap();

@@ -61,7 +61,7 @@ async fn operations(server: &Server) -> Vec<(Method, String, Access)> {
         .collect()
 }
 
-/// A request of this route that would succeed for whoever owns the session.
+/// A request of this route that would succeed for the owner of the session.
 pub(crate) fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuilder {
     let request = server.client.request(
         method.clone(),

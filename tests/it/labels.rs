@@ -99,9 +99,16 @@ fn labels_follow_the_inverse_of_the_pixel_centre() {
     let (mut compared, mut near_borders, mut usable) = (0, 0, 0);
     for seed in 0..200 {
         let (rest, q) = warp(seed);
-        let setup = ResolvedRest::new(&rest, image.extent(), &limits).unwrap();
+        let setup = ResolvedRest::new(&rest, image.extent(), &limits, &|| false).unwrap();
         let pose = setup.pose(&q).unwrap();
-        let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+        let posed = PosedMesh::new(
+            &setup,
+            &setup.plan(&|| false).unwrap(),
+            &pose,
+            Folds::Report,
+            &|| false,
+        )
+        .unwrap();
         let mut out = Vec::new();
         let _ = RenderJob::new(
             RasterSource::Labels(&image),

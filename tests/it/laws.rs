@@ -183,7 +183,7 @@ proptest! {
                 prop_assert_eq!(field.map(&pose, *v), *v);
             }
             let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
-            let (displacement, _) = table.displace(&pose);
+            let (displacement, _) = table.displace(&pose, &|| false).unwrap();
             prop_assert!(displacement.iter().all(|d| *d == [0.0, 0.0]));
         }
     }
@@ -226,7 +226,7 @@ proptest! {
             let field = set.field(method);
             let pose = field.pose(&set.q).unwrap();
             let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
-            let (displacement, _) = table.displace(&pose);
+            let (displacement, _) = table.displace(&pose, &|| false).unwrap();
             for (v, d) in at.iter().zip(displacement) {
                 let exact = field.map(&pose, *v) - *v;
                 let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
@@ -324,7 +324,8 @@ proptest! {
             let field = set.field_of(&p, method);
             let Ok(pose) = field.pose(&q) else { continue };
             let grid = Grid::with_counts(SIDE * far, SIDE * far, 9, 9);
-            let mesh = CoefficientTable::of_grid(&field, &grid).pose(&grid, &pose).0;
+            let table = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
+            let mesh = table.pose(&grid, &pose, &|| false).unwrap().0;
             prop_assert!(mesh.displacement().iter().flatten().all(|c| c.is_finite()), "{method:?} \
                 alpha {}", set.alpha);
         }

@@ -260,8 +260,8 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
     eventually("sessions expire, and nothing is left", || kept() == 0).await;
 }
 
-/// The object of a new session is in its client's share before the session is there: who reads
-/// nothing opens none, and is not told that there is none when there is.
+/// The object of a new session is in its client's share before the session is there. A client that
+/// reads no answers opens no session, and is never told that a session is missing that exists.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn objects_of_new_sessions_are_in_the_account() {
     let app = App::new(config(&[])).unwrap();

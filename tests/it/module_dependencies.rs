@@ -82,7 +82,7 @@ const CRATES: [(&str, &[&str]); 14] = [
     ("tower_http", &["server/http"]),
     ("tokio_rustls", &["server"]),
     ("rayon", &["engine/parallel.rs", "server"]),
-    ("hmac", &["server/auth/tokens.rs"]),
+    ("hmac", &["server/auth/tokens/mod.rs"]),
     ("image", &["engine/codec"]),
     ("png", &["engine/codec"]),
     (

@@ -66,7 +66,7 @@ async fn the_document_says_which_routes_want_a_key() {
     assert_eq!(
         document["security"],
         serde_json::json!([{"key": []}, {}]),
-        "by default: a key, or none where there are none"
+        "by default: a key; nothing on a server without keys"
     );
     for (path, access) in paths(&server.app) {
         for (method, operation) in document["paths"][path]

@@ -182,8 +182,10 @@ fn oracle_degenerate_sets_have_their_named_results() {
             "rotation undefined -> identity rotation: f = v - p* + q*" => {
                 let grid = Grid::with_counts(500.0, 500.0, 11, 11);
                 assert!(
-                    CoefficientTable::of_grid(&field, &grid)
-                        .pose(&grid, &pose)
+                    CoefficientTable::of_grid(&field, &grid, &|| false)
+                        .unwrap()
+                        .pose(&grid, &pose, &|| false)
+                        .unwrap()
                         .1
                         .least_rotation
                         < 0.1,
@@ -239,8 +241,10 @@ fn oracle_folded_cells_are_the_same_cells() {
             u32::try_from(nx).unwrap(),
             u32::try_from(ny).unwrap(),
         );
-        let mesh = CoefficientTable::of_grid(&field, &grid)
-            .pose(&grid, &pose)
+        let mesh = CoefficientTable::of_grid(&field, &grid, &|| false)
+            .unwrap()
+            .pose(&grid, &pose, &|| false)
+            .unwrap()
             .0;
         let mut folded: Vec<[u64; 2]> = mesh
             .folded_cells()

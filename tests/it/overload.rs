@@ -173,7 +173,7 @@ async fn a_request_that_waits_is_superseded_without_its_turn() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn whoever_waits_too_long_is_answered() {
+async fn a_request_that_waits_too_long_is_answered() {
     let server = Server::start(&[
         "--workers",
         "1",

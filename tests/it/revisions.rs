@@ -1,4 +1,4 @@
-//! Sessions that change: named by the client, made anew, given other handles.
+//! Sessions that change: named by the client, replaced by another `PUT`, given other handles.
 
 use reqwest::{Method, Response};
 use serde_json::{Value, json};
@@ -79,7 +79,7 @@ async fn a_client_names_its_session_and_the_same_body_twice_is_one_session() {
 }
 
 #[tokio::test]
-async fn another_body_makes_the_session_anew() {
+async fn another_body_replaces_the_session() {
     let server = Server::start(&[]).await;
     put(&server, NAME, &photo(60, 40), &json!({"p": [[20, 10]]})).await;
     assert_eq!(
@@ -104,7 +104,7 @@ async fn another_body_makes_the_session_anew() {
         (&json!(50), &json!("affine"), &Value::Null)
     );
 
-    // Numbers start anew, and the picture is the new one.
+    // Numbers start from the beginning, and the picture is the new one.
     let q = json!([[18, 12], [41, 21]]);
     let answer = drag(&server, &json!({"q": q, "seq": 0})).await;
     assert_eq!(answer.status(), 200);
@@ -317,7 +317,7 @@ async fn hands_that_change_different_fields_at_once_lose_nothing() {
 }
 
 #[tokio::test]
-async fn a_session_that_is_made_anew_while_drags_wait_is_never_missing() {
+async fn a_session_that_is_made_again_while_drags_wait_is_never_missing() {
     let server = Server::start(&["--workers", "1"]).await;
     let (files, warp) = (
         [photo(600, 400), photo(500, 300)],

@@ -422,7 +422,7 @@ async fn http_2_streams_without_bodies_fall_to_the_body_deadline() {
     let server = Server::start(&DEADLINES).await;
     let well = Healthy::begin(server.address).await;
     let mut frames = Frames::open(server.address, 65535).await;
-    // Whoever has read the server's settings knows that there are 64.
+    // A client that has read the server's settings knows that there are 64.
     let began = Instant::now();
     for n in 0..64 {
         frames.request(1 + 2 * n, POST, "/points", false).await;

@@ -36,7 +36,7 @@ fn drag(server: &Server, id: &str) -> JoinHandle<reqwest::Result<Response>> {
     )
 }
 
-/// So many pictures of requests that need no session; the time below which 99 of 100 were answered.
+/// Sends `count` requests that need no session; the time below which 99 of 100 were answered.
 async fn p99_of(server: &Server, count: usize) -> Duration {
     let (file, warp) = (photo(64, 48), json!({"p": [[2, 2]], "q": [[3, 2]]}));
     let mut times = Vec::new();

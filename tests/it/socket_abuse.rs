@@ -247,7 +247,7 @@ async fn a_frame_that_is_never_acknowledged_closes_the_socket() {
     assert_eq!(drag.closed().await, 1008);
 }
 
-/// A way to the server over which answers trickle: so many bytes a second, through small buffers.
+/// A way to the server that lets `bytes_a_second` of the answers through, with small buffers.
 async fn narrow_way(to: SocketAddr, bytes_a_second: usize) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

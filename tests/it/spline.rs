@@ -5,8 +5,8 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mlswarp::deform::{
-    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, NotTaken, Pose,
-    RestDeformation, Warning, pose_without_table,
+    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, IsCancelled,
+    NotTaken, Parameters, Pose, RestDeformation, Warning, pose_without_table,
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
@@ -20,6 +20,16 @@ use crate::support::{Server, photo};
 
 fn handles(points: &[Point]) -> Vec<Handle> {
     points.iter().copied().map(Handle::Point).collect()
+}
+
+/// A spline without smoothing.
+fn spline(
+    rest: Handles,
+    coincident: Coincident,
+    cancelled: IsCancelled<'_>,
+) -> Result<RestDeformation, DeformError> {
+    let given = Parameters::default();
+    RestDeformation::of(rest, coincident, Method::ThinPlateSpline, &given, cancelled)
 }
 
 /// A set of points at rest and posed, with weights.
@@ -53,7 +63,7 @@ impl Set {
     }
 }
 
-/// Each in a cell of its own of a 5 x 5 board of 100 px.
+/// Points that lie in different cells of a board with 5 x 5 cells, 100 px wide.
 fn sets(least: usize) -> impl Strategy<Value = Set> {
     let cells = proptest::sample::subsequence((0..25u8).collect::<Vec<_>>(), least..=12);
     let places = proptest::collection::vec((0.1f64..0.9, 0.1f64..0.9), 12);
@@ -216,7 +226,7 @@ proptest! {
             prop_assert_eq!(field.map(&pose, *v), *v);
         }
         let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
-        let (displacement, _) = table.displace(&pose);
+        let (displacement, _) = table.displace(&pose, &|| false).unwrap();
         prop_assert!(displacement.iter().all(|d| *d == [0.0, 0.0]));
     }
 
@@ -260,7 +270,7 @@ proptest! {
         let set = if line { on_a_line(&set) } else { set };
         let (field, pose) = set.posed(smoothing);
         let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
-        let (displacement, _) = table.displace(&pose);
+        let (displacement, _) = table.displace(&pose, &|| false).unwrap();
         for (v, d) in at.iter().zip(displacement) {
             let off = (field.map(&pose, *v) - *v - Vec2::new(d[0].into(), d[1].into())).norm();
             // Single precision rounds each term, and those of near points, or of points that are
@@ -354,7 +364,7 @@ proptest! {
         let mut at = vec![Point::new(0.0, 0.0), Point::new(1e6, -1e6), Point::new(250.0, 250.0)];
         at.extend(p.iter().flat_map(|p| [*p, *p + Vec2::new(1e-9, 0.0)]));
         let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
-        let (displacement, _) = table.displace(&pose);
+        let (displacement, _) = table.displace(&pose, &|| false).unwrap();
         for (v, d) in at.iter().zip(displacement) {
             prop_assert!(field.map(&pose, *v).is_finite(), "{v:?}: {:?}", field.map(&pose, *v));
             prop_assert!(d.iter().all(|c| c.is_finite()), "{v:?}: {d:?}");
@@ -490,7 +500,7 @@ fn spline_moves_coincident_points_by_their_mean() {
     ];
     let field = |policy, within, p: &[Point]| {
         let rest = Handles::new(handles(p), None).unwrap();
-        RestDeformation::spline_unless(rest, Coincident { policy, within }, 0.0, &|| false).unwrap()
+        spline(rest, Coincident { policy, within }, &|| false).unwrap()
     };
     let mean = field(CoincidentPolicy::Mean, 0.0, &p);
     let pose = mean.pose(&handles(&q)).unwrap();
@@ -552,7 +562,7 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     let rest = Handles::new(handles(&scattered(120)), None).unwrap();
     let asked = AtomicUsize::new(0);
     assert!(
-        RestDeformation::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked
+        spline(rest.clone(), Coincident::default(), &|| asked
             .fetch_add(1, Ordering::Relaxed)
             == usize::MAX)
         .is_ok()
@@ -562,10 +572,9 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     assert!(looks >= 120 + 120 + 120 / 8, "{looks}");
     for after in [0, 1, looks / 2, looks - 1] {
         let asked = AtomicUsize::new(0);
-        let given_up =
-            RestDeformation::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| {
-                asked.fetch_add(1, Ordering::Relaxed) >= after
-            });
+        let given_up = spline(rest.clone(), Coincident::default(), &|| {
+            asked.fetch_add(1, Ordering::Relaxed) >= after
+        });
         assert_eq!(
             (given_up.unwrap_err(), asked.into_inner()),
             (DeformError::Cancelled, after + 1)
@@ -584,7 +593,7 @@ fn spline_of_many_points_is_posed_without_a_table() {
             grid: GridSpec::Cell(20.0),
             ..RestSpec::default()
         };
-        ResolvedRest::new(&rest, extent, &limits())
+        ResolvedRest::new(&rest, extent, &limits(), &|| false)
     };
     for (count, has_table) in [(64, true), (65, false)] {
         assert_eq!(
@@ -629,8 +638,10 @@ fn spline_of_many_points_is_posed_without_a_table() {
     let (field, pose) = set.posed(0.0);
     let grid = Grid::with_counts(400.0, 300.0, 20, 15);
     let (table, without) = (
-        CoefficientTable::of_grid(&field, &grid)
-            .pose(&grid, &pose)
+        CoefficientTable::of_grid(&field, &grid, &|| false)
+            .unwrap()
+            .pose(&grid, &pose, &|| false)
+            .unwrap()
             .0,
         pose_without_table(&field, &grid, &pose, &|| false)
             .unwrap()
@@ -661,7 +672,7 @@ fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
             grid: GridSpec::Cell(2.0),
             ..RestSpec::default()
         };
-        let setup = ResolvedRest::new(&rest, extent, &limits()).unwrap();
+        let setup = ResolvedRest::new(&rest, extent, &limits(), &|| false).unwrap();
         assert_eq!(
             (setup.alpha(), setup.point_mass(), setup.smoothing()),
             (None, None, Some(smoothing.unwrap_or(0.0)))
@@ -675,10 +686,16 @@ fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
             .map(|(f, q)| f.distance(*q))
             .fold(0.0, f64::max);
         (
-            PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false)
-                .unwrap()
-                .report()
-                .residual,
+            PosedMesh::new(
+                &setup,
+                &setup.plan(&|| false).unwrap(),
+                &pose,
+                Folds::Report,
+                &|| false,
+            )
+            .unwrap()
+            .report()
+            .residual,
             off,
             setup.plan_key(),
         )

@@ -32,7 +32,7 @@ async fn sent(program: &Program, bytes: &[u8]) -> TcpStream {
     stream
 }
 
-/// Whoever came was accepted when one that came later is answered.
+/// Waits until all connections so far are accepted: they are when a later one is answered.
 async fn accepted(program: &Program) {
     assert!(
         answer(sent(program, b"GET /healthz HTTP/1.0\r\n\r\n").await)

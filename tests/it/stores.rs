@@ -1,4 +1,4 @@
-//! The stores as an operator meets them: addresses, files that are none, full disks, servers that
+//! The stores as an operator meets them: addresses, files without records, full disks, servers that
 //! are away.
 
 use std::os::unix::process::CommandExt as _;

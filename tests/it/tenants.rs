@@ -238,7 +238,8 @@ async fn a_file_of_another_name_changes_nothing_that_is_seen() {
     }
 }
 
-/// A share protects others; while all keys belong to one name there are none. The keys may change.
+/// A share protects other names. While all keys belong to one name, there is no share. The keys may
+/// change.
 #[tokio::test]
 async fn the_only_name_has_no_share() {
     let scratch = Scratch::new();

@@ -74,7 +74,7 @@ impl Folder {
         Server::start(&[&options.each_ref().map(String::as_str)[..], others].concat()).await
     }
 
-    /// A connection to whoever has this folder's certificate.
+    /// A connection to the server that has this folder's certificate.
     pub(crate) async fn connect(
         &self,
         address: SocketAddr,

@@ -124,7 +124,7 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
         collector.bytes().windows(6).any(|bytes| bytes == b"ticket"),
         "what is looked for would be found"
     );
-    // A drag, a refusal, a path that is none; and what watchers ask.
+    // A drag, a refusal, a path without a route; and what monitors ask.
     let drag = server
         .post(&format!("/sessions/{id}/warp"))
         .bearer_auth(KEY)
@@ -507,7 +507,7 @@ async fn spans_that_a_collector_rejects_are_not_exported() {
         "three of each batch: {exported}, {dropped}"
     );
     assert!(exported > 0 && dropped > 0);
-    // Whoever says that all were rejected, and more than there were, has rejected all.
+    // A collector that rejects more spans than were sent has rejected all.
     collector.reject(i64::MAX);
     server.is_well().await;
     eventually("the next is counted", || tally().1 > dropped).await;

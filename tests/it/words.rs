@@ -76,10 +76,10 @@ const NO_WORDS: [(&str, &str); 7] = [
 ];
 /// Outlines of annotations are refined, as the contract calls it.
 const OUTLINES: [&str; 6] = [
-    "engine/warp/transform.rs",
+    "engine/warp/transform",
     "server/app/points.rs",
     "contract/wire/annotations",
-    "contract/wire/batch.rs",
+    "contract/wire/batch",
     "contract/wire/tests/points.rs",
     "tests",
 ];

@@ -163,8 +163,7 @@ impl Crowd {
             .to_owned()
     }
 
-    /// What so many clients that ask again as soon as they are answered get in a second: drags,
-    /// uploads.
+    /// Answers per second if clients ask again as soon as they are answered: of drags, of uploads.
     async fn capacity(&self) -> (f64, f64) {
         let (drags, uploads, over) = (
             Arc::new(Answers::default()),
@@ -203,7 +202,8 @@ impl Crowd {
     }
 }
 
-/// Starts `work` so many times a second, whatever becomes of it; waits for all.
+/// Starts `work` `rate` times a second without waiting for what was started; at the end, waits for
+/// all.
 async fn storm<F: Future<Output = ()> + Send + 'static>(
     rate: f64,
     spell: Duration,
@@ -384,7 +384,7 @@ async fn four_times_what_the_machine_holds() {
         assert_eq!(
             answers.wrong.load(Ordering::Relaxed),
             0,
-            "{name} with an answer that is none"
+            "{name} with an answer that no server gives"
         );
         assert_eq!(statuses.values().sum::<u64>(), begun);
         assert!(answers.served() > 0);

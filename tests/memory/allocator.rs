@@ -29,7 +29,7 @@ pub(crate) fn live() -> i64 {
     LIVE.load(Ordering::SeqCst)
 }
 
-/// Bytes asked for so far, and in how many calls. A buffer that grows is asked for anew.
+/// Bytes asked for so far, and in how many calls. A buffer that grows counts again.
 pub(crate) fn asked() -> (u64, u64) {
     (ASKED.load(Ordering::SeqCst), CALLS.load(Ordering::SeqCst))
 }

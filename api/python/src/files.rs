@@ -69,7 +69,7 @@ fn draw(
     }
     let setup = object.resolve(None, extent, &limits, MOST_FIT_HANDLES, &is_cancelled)?;
     let pose = setup.pose(object.posed()?)?;
-    let plan = setup.plan_unless(&is_cancelled)?;
+    let plan = setup.plan(&is_cancelled)?;
     let posed = PosedMesh::new(&setup, &plan, &pose, object.folds, &is_cancelled)?;
     let posed = region.into_iter().fold(posed, PosedMesh::within);
     let job = RenderJob::new(subject, &posed, &object.output, &limits)?;

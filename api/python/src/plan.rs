@@ -11,8 +11,8 @@ use pyo3::prelude::*;
 use crate::pool::run;
 use crate::pose::Pose;
 
-/// What computing here may take: there are no other clients. The size of a set of handles and of
-/// its table stay those of the service.
+/// What computing here may take: there are no other clients. The limits for handles and tables stay
+/// those of the service.
 pub(crate) fn limits() -> Limits {
     let mut limits = Limits {
         work: 1 << 50,

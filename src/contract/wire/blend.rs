@@ -474,7 +474,7 @@ pub fn mirror_pairs(
     };
     let given = entry.pairs.as_ref().map(|pairs| match kept {
         None => pairs.clone(),
-        // A pair that was left out is none of them, and is refused.
+        // A pair that was left out is not among the pairs, and is refused.
         Some(kept) => kept
             .iter()
             .filter_map(|k| pairs.get(*k))

@@ -1,4 +1,4 @@
-//! The names of the fields of the warp object and of the objects in it.
+//! The names that fields have in the warp object and in the objects inside it.
 
 use mlswarp::deform::METHODS;
 

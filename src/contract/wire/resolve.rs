@@ -31,8 +31,6 @@ impl WarpObject {
             let chosen = choose(rest, q, extent, most_fit_handles, cancelled)?;
             self.choose(chosen);
         }
-        Ok(ResolvedRest::new_unless(
-            &self.rest, extent, limits, cancelled,
-        )?)
+        Ok(ResolvedRest::new(&self.rest, extent, limits, cancelled)?)
     }
 }

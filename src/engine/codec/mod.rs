@@ -12,6 +12,8 @@ mod bmp;
 #[forbid(unsafe_code)]
 mod decode;
 #[forbid(unsafe_code)]
+mod encoder;
+#[forbid(unsafe_code)]
 mod gif;
 #[forbid(unsafe_code)]
 mod ifd;

@@ -5,11 +5,13 @@
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 
+use super::encoder::{FormatEncoder, OneStrip};
 use super::jpeg::write::JpegWriter;
 use super::png::write::{PngWriter, StripChecksum};
-use super::{Carried, Compression, Encoding, Palette, gif, tiff, webp};
-use crate::pixmap::{Channels, Depth, PixelLayout, sample_bytes};
+use super::{Carried, Encoding, Palette, gif, tiff, webp};
+use crate::pixmap::{Channels, Depth, PixelLayout};
 
 /// Writes one picture. Cheap to create and to clone.
 #[derive(Clone, Debug)]
@@ -17,25 +19,57 @@ pub struct Writer {
     shape: PixelLayout,
     /// The samples have three equal colours, of which the file has one.
     is_grey_in_colour: bool,
-    kind: WriterKind,
+    /// The most bits of a sample of the format.
+    depth: Depth,
+    encoder: Arc<dyn FormatEncoder>,
 }
 
-#[derive(Clone, Debug)]
-enum WriterKind {
-    Png(PngWriter),
-    Jpeg(JpegWriter),
-    Whole {
-        coding: WholeFileFormat,
-        metadata: Option<Carried>,
-        palette: Option<Palette>,
-    },
-}
-
-#[derive(Clone, Copy, Debug)]
-enum WholeFileFormat {
-    WebP,
-    Tiff(Compression),
-    Gif,
+/// The encoder of each encoding. A palette is only one of labels, whose samples are its indices.
+fn encoder(
+    shape: PixelLayout,
+    encoding: Encoding,
+    palette: Option<&Palette>,
+    metadata: Option<&Carried>,
+) -> Arc<dyn FormatEncoder> {
+    let carried = metadata.cloned();
+    match encoding {
+        Encoding::Png(compression) => {
+            Arc::new(PngWriter::of_labels(shape, compression, palette, metadata))
+        }
+        Encoding::Jpeg {
+            quality,
+            subsampling,
+            ground,
+        } => Arc::new(JpegWriter::new(
+            shape,
+            quality,
+            subsampling,
+            ground,
+            metadata,
+        )),
+        Encoding::WebP => {
+            let write = move |samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool| {
+                let picture = (shape.extent, shape.channels);
+                webp::write::write(picture, samples, carried.as_ref(), out, wanted);
+            };
+            Arc::new(OneStrip::new(shape, metadata, write))
+        }
+        Encoding::Tiff(compression) => {
+            let palette = palette.cloned();
+            let write = move |samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool| {
+                let beside = (carried.as_ref(), palette.as_ref());
+                tiff::write::write(shape, compression, samples, beside, out, wanted);
+            };
+            Arc::new(OneStrip::new(shape, metadata, write))
+        }
+        Encoding::Gif => {
+            let write = move |samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool| {
+                gif::write::write(shape.extent, shape.channels, samples, out, wanted);
+            };
+            let tables = gif::write::work_bytes(shape.extent);
+            Arc::new(OneStrip::new(shape, metadata, write).with_tables(tables))
+        }
+    }
 }
 
 impl Writer {
@@ -48,34 +82,11 @@ impl Writer {
     pub fn new(shape: PixelLayout, encoding: Encoding, metadata: Option<&Carried>) -> Self {
         let grey = shape.grey && encoding.is_grey();
         let shape = PixelLayout { grey, ..shape };
-        let whole = |coding| WriterKind::Whole {
-            coding,
-            metadata: metadata.cloned(),
-            palette: None,
-        };
-        let kind = match encoding {
-            Encoding::Png(compression) => {
-                WriterKind::Png(PngWriter::new(shape, compression, metadata))
-            }
-            Encoding::Jpeg {
-                quality,
-                subsampling,
-                ground,
-            } => WriterKind::Jpeg(JpegWriter::new(
-                shape,
-                quality,
-                subsampling,
-                ground,
-                metadata,
-            )),
-            Encoding::WebP => whole(WholeFileFormat::WebP),
-            Encoding::Tiff(compression) => whole(WholeFileFormat::Tiff(compression)),
-            Encoding::Gif => whole(WholeFileFormat::Gif),
-        };
         Self {
             shape,
             is_grey_in_colour: grey,
-            kind,
+            depth: encoding.format().info().depth,
+            encoder: encoder(shape, encoding, None, metadata),
         }
     }
 
@@ -91,32 +102,19 @@ impl Writer {
         palette: Option<&Palette>,
         metadata: Option<&Carried>,
     ) -> Option<Self> {
-        let kind = match encoding {
-            Encoding::Png(compression) => {
-                WriterKind::Png(PngWriter::of_labels(shape, compression, palette, metadata))
-            }
-            Encoding::Tiff(compression) => WriterKind::Whole {
-                coding: WholeFileFormat::Tiff(compression),
-                metadata: metadata.cloned(),
-                palette: palette.cloned(),
-            },
-            Encoding::Jpeg { .. } | Encoding::WebP | Encoding::Gif => return None,
-        };
-        Some(Self {
+        let format = encoding.format().info();
+        format.keeps_labels.then(|| Self {
             shape,
             is_grey_in_colour: false,
-            kind,
+            depth: format.depth,
+            encoder: encoder(shape, encoding, palette, metadata),
         })
     }
 
     /// Number of strips.
     #[must_use]
     pub fn strips(&self) -> usize {
-        match &self.kind {
-            WriterKind::Png(png) => png.strips(),
-            WriterKind::Jpeg(jpeg) => jpeg.strips(),
-            WriterKind::Whole { .. } => 1,
-        }
+        self.encoder.strips()
     }
 
     /// Rows of a strip.
@@ -125,65 +123,25 @@ impl Writer {
     /// If there is no such strip.
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
-        match &self.kind {
-            WriterKind::Png(png) => png.rows(strip),
-            WriterKind::Jpeg(jpeg) => jpeg.rows(strip),
-            WriterKind::Whole { .. } => 0..self.shape.extent.height(),
-        }
+        self.encoder.rows(strip)
     }
 
     /// Upper bound of the whole file, bytes, whatever the samples.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
-        /// Markers and tables.
-        const FRAME: u64 = 64 << 10;
-        /// A sample of WebP takes less.
-        const SAMPLE: u64 = 8;
-        match &self.kind {
-            WriterKind::Png(png) => png.max_bytes(),
-            WriterKind::Jpeg(jpeg) => jpeg.max_bytes(),
-            WriterKind::Whole { metadata, .. } => {
-                let shape = self.shape;
-                let samples = shape.extent.pixels() * shape.channels.count() as u64;
-                samples * SAMPLE + metadata.as_ref().map_or(0, Carried::most_bytes) + FRAME
-            }
-        }
+        self.encoder.max_bytes()
     }
 
-    /// Upper bound of the memory for writing, the file included, bytes. For whole pictures: their
-    /// samples, the encoder's buffers, and a file no larger than the samples, because even noise
-    /// compresses a little.
+    /// Upper bound of the memory for writing, the file included, bytes.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
-        /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's
-        /// buffers, the file.
-        const COPIES: u64 = 4;
-        match &self.kind {
-            WriterKind::Png(png) => png.max_bytes(),
-            WriterKind::Jpeg(jpeg) => jpeg.work_bytes(),
-            WriterKind::Whole {
-                coding, metadata, ..
-            } => {
-                let shape = self.shape;
-                let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                let tables = if matches!(coding, WholeFileFormat::Gif) {
-                    gif::write::work_bytes(shape.extent)
-                } else {
-                    0
-                };
-                tables + samples * COPIES + 2 * metadata.as_ref().map_or(0, Carried::most_bytes)
-            }
-        }
+        self.encoder.work_bytes()
     }
 
     /// The bytes before the first strip.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
-        match &self.kind {
-            WriterKind::Png(png) => png.head(),
-            WriterKind::Jpeg(jpeg) => jpeg.head().to_vec(),
-            WriterKind::Whole { .. } => Vec::new(),
-        }
+        self.encoder.head()
     }
 
     /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones
@@ -204,55 +162,17 @@ impl Writer {
         } else {
             samples
         };
-        match &self.kind {
-            WriterKind::Png(png) => png.strip_into(index, samples, out),
-            WriterKind::Jpeg(jpeg) => {
-                jpeg.strip_into(index, &in_eight(samples, self.shape.depth), out, wanted);
-                StripChecksum::default()
-            }
-            WriterKind::Whole {
-                coding,
-                metadata,
-                palette,
-            } => {
-                let (shape, metadata) = (self.shape, metadata.as_ref());
-                match *coding {
-                    WholeFileFormat::Tiff(compression) => tiff::write::write(
-                        shape,
-                        compression,
-                        samples,
-                        (metadata, palette.as_ref()),
-                        out,
-                        wanted,
-                    ),
-                    WholeFileFormat::WebP => webp::write::write(
-                        (shape.extent, shape.channels),
-                        &in_eight(samples, shape.depth),
-                        metadata,
-                        out,
-                        wanted,
-                    ),
-                    WholeFileFormat::Gif => gif::write::write(
-                        shape.extent,
-                        shape.channels,
-                        &in_eight(samples, shape.depth),
-                        out,
-                        wanted,
-                    ),
-                }
-                StripChecksum::default()
-            }
-        }
+        let samples = match self.depth {
+            Depth::Eight => in_eight(samples, self.shape.depth),
+            Depth::Sixteen => Cow::Borrowed(samples),
+        };
+        self.encoder.strip_into(index, &samples, out, wanted)
     }
 
     /// The bytes after the last strip.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
-        match &self.kind {
-            WriterKind::Png(png) => png.tail(checksums),
-            WriterKind::Jpeg(_) => JpegWriter::tail().to_vec(),
-            WriterKind::Whole { .. } => Vec::new(),
-        }
+        self.encoder.tail(checksums)
     }
 }
 
@@ -294,7 +214,7 @@ fn in_eight(samples: &[u8], depth: Depth) -> Cow<'_, [u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::{Decoded, ImageLimits, SourceFormat, Subsampling, decode};
+    use crate::codec::{Compression, Decoded, ImageLimits, SourceFormat, Subsampling, decode};
     use crate::pixmap::Extent;
     use crate::pixmap::Samples;
 

@@ -89,16 +89,10 @@ impl CoefficientTable {
         size_of_val(self.table.as_slice()) as u64
     }
 
-    /// Fills the table for the vertices of a grid, in parallel on the current pool.
+    /// Fills the table for the vertices of a grid, in parallel on the current pool; `None` when
+    /// cancelled, which is checked for each block of vertices.
     #[must_use]
-    pub fn of_grid(field: &RestDeformation, grid: &Grid) -> Self {
-        Self::of_grid_unless(field, grid, &|| false).expect("nothing gives it up")
-    }
-
-    /// Like [`CoefficientTable::of_grid`]; `None` when cancelled, which is checked for each block
-    /// of vertices.
-    #[must_use]
-    pub fn of_grid_unless(
+    pub fn of_grid(
         field: &RestDeformation,
         grid: &Grid,
         cancelled: IsCancelled<'_>,
@@ -111,7 +105,7 @@ impl CoefficientTable {
     /// Fills the table for vertices of which each belongs to a pixel, counted row by row: those of
     /// a grid that is cut along a mask. `None` when cancelled.
     #[must_use]
-    pub fn of_cut_unless(
+    pub fn of_cut(
         field: &RestDeformation,
         vertices: &[(Point, u32)],
         cancelled: IsCancelled<'_>,
@@ -189,16 +183,10 @@ impl CoefficientTable {
         })
     }
 
-    /// The displacement of every vertex, px. O(vertices x columns), one pass over the table.
+    /// The displacement of every vertex, px; `None` when cancelled. O(vertices x columns), one pass
+    /// over the table.
     #[must_use]
-    pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
-        self.displace_unless(pose, &|| false)
-            .expect("nothing gives it up")
-    }
-
-    /// Like [`CoefficientTable::displace`]; `None` when cancelled.
-    #[must_use]
-    pub fn displace_unless(
+    pub fn displace(
         &self,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
@@ -296,22 +284,15 @@ impl CoefficientTable {
         }
     }
 
-    /// The posed mesh of the grid that the plan was made for.
+    /// The posed mesh of the grid that the plan was made for; `None` when cancelled.
     #[must_use]
-    pub fn pose(&self, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
-        self.pose_unless(grid, pose, &|| false)
-            .expect("nothing gives it up")
-    }
-
-    /// Like [`CoefficientTable::pose`]; `None` when cancelled.
-    #[must_use]
-    pub fn pose_unless(
+    pub fn pose(
         &self,
         grid: &Grid,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<(Mesh, PoseQuality)> {
-        let (displacement, quality) = self.displace_unless(pose, cancelled)?;
+        let (displacement, quality) = self.displace(pose, cancelled)?;
         Some((Mesh::new(*grid, displacement), quality))
     }
 }
@@ -405,15 +386,15 @@ mod tests {
         let (field, pose) = field(100);
         // Two pieces of a table.
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
-        let plan = CoefficientTable::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
         assert!(plan.bytes() > PIECE_BYTES as u64);
         type GivesUp<'a> = &'a (dyn Fn(IsCancelled<'_>) -> bool + Sync);
         let works: [(&str, usize, GivesUp<'_>); 3] = [
             ("filling", grid.len() / LANES, &|cancelled| {
-                CoefficientTable::of_grid_unless(&field, &grid, cancelled).is_none()
+                CoefficientTable::of_grid(&field, &grid, cancelled).is_none()
             }),
             ("posing", 2, &|cancelled| {
-                plan.pose_unless(&grid, &pose, cancelled).is_none()
+                plan.pose(&grid, &pose, cancelled).is_none()
             }),
             ("without a table", grid.len() / LANES, &|cancelled| {
                 pose_without_table(&field, &grid, &pose, cancelled).is_none()
@@ -438,7 +419,10 @@ mod tests {
     fn a_table_of_several_pieces_has_no_seam() {
         let (field, pose) = field(100);
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
-        let (displacement, _) = CoefficientTable::of_grid(&field, &grid).displace(&pose);
+        let (displacement, _) = CoefficientTable::of_grid(&field, &grid, &|| false)
+            .unwrap()
+            .displace(&pose, &|| false)
+            .unwrap();
         for (k, d) in displacement.iter().enumerate() {
             let v = vertex(&grid, 200, k);
             let want = to_f32(field.map(&pose, v) - v);

@@ -314,7 +314,7 @@ fn differences<const COMPONENTS: usize, const N: usize>(values: &[f32]) -> ([f32
     (fourth, sixth)
 }
 
-/// The length of the largest vector of a list of x and y.
+/// The length of the longest vector; `numbers` are x and y in turn.
 fn largest<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> f32 {
     let (mut numbers, mut largest) = (numbers.into_iter(), 0.0_f32);
     while let (Some(x), Some(y)) = (numbers.next(), numbers.next()) {

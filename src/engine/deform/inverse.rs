@@ -302,12 +302,15 @@ impl<'a> Inverse<'a> {
             if off.norm() <= SOLVED_DISTANCE_PX {
                 return Some(Some(x));
             }
+            // Central differences have an error of second order.
             let per = 0.5 / DIFFERENCE_PX;
             let Some(inverse) = Matrix::inverse_of((right - left) * per, (below - above) * per)
             else {
                 return Some(None);
             };
             let step = inverse.times(off);
+            // Positions are computed together, so all lengths cost little more than one. The
+            // longest that comes nearer is taken.
             let shorter: Vec<Point> = (0..MAX_HALVINGS)
                 .map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few")))
                 .collect();
@@ -385,7 +388,11 @@ mod tests {
 
     fn mesh(field: &RestDeformation, pose: &Pose, cell: f64) -> Mesh {
         let grid = Grid::with_cell(300.0, 200.0, cell);
-        CoefficientTable::of_grid(field, &grid).pose(&grid, pose).0
+        CoefficientTable::of_grid(field, &grid, &|| false)
+            .unwrap()
+            .pose(&grid, pose, &|| false)
+            .unwrap()
+            .0
     }
 
     /// f folds in cells of half a pixel.
@@ -512,8 +519,10 @@ mod tests {
                 let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
                 for cell in [4.0, 5.0, 8.0] {
                     let grid = Grid::with_cell(300.0, 200.0, cell);
-                    let mesh = CoefficientTable::of_grid(&field, &grid)
-                        .pose(&grid, &pose)
+                    let mesh = CoefficientTable::of_grid(&field, &grid, &|| false)
+                        .unwrap()
+                        .pose(&grid, &pose, &|| false)
+                        .unwrap()
                         .0;
                     let found = Inverse::new(&field, &pose, &mesh)
                         .map(&posed, NEVER)

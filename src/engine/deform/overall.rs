@@ -211,6 +211,8 @@ impl PairSums {
         {
             return None;
         }
+        // As in a row: along the longest axis first, then across what is left (mathematics 8.1), so
+        // that positions nearly on one line still determine a map.
         slope /= along;
         let (mut across, mut with_along, mut with_across) = (0.0, Vec2::ZERO, Vec2::ZERO);
         pairs(&mut |a, b, w| {

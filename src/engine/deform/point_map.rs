@@ -166,7 +166,8 @@ pub(super) trait PointMap:
         None
     }
 
-    /// Why there is no table of coefficients, not even for clients, if there is none.
+    /// The reason why the method has no table of coefficients, not even for clients; `None` if it
+    /// has one.
     fn without_table(&self) -> Option<&'static str> {
         None
     }

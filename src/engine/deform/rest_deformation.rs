@@ -97,7 +97,8 @@ impl Grouped {
 
 impl RestDeformation {
     /// Moving least squares, with a fall-off that fits the handles. `point_mass`: the length whose
-    /// pull equals a point's from afar, px; matters only where points and lines are mixed.
+    /// pull equals a point's from afar, px; matters only where points and lines are mixed. Nothing
+    /// cancels it; [`RestDeformation::of`] takes everything that there is to choose.
     ///
     /// # Errors
     /// A mass or a distance out of range, too many coincidences of handles, or too many lines close
@@ -108,62 +109,27 @@ impl RestDeformation {
         falloff: Falloff,
         point_mass: f64,
     ) -> Result<Self, DeformError> {
-        Self::new_unless(
-            handles,
-            Coincident::default(),
-            method,
-            falloff,
-            point_mass,
-            &|| false,
-        )
-    }
-
-    /// Like [`RestDeformation::new`]; stops when `cancelled` returns true.
-    ///
-    /// # Errors
-    /// Those of [`RestDeformation::new`]; cancelled.
-    pub fn new_unless(
-        handles: Handles,
-        coincident: Coincident,
-        method: Method,
-        falloff: Falloff,
-        point_mass: f64,
-        cancelled: IsCancelled<'_>,
-    ) -> Result<Self, DeformError> {
         let given = Parameters::default()
             .with("alpha", falloff.alpha())
             .with("point_mass", point_mass);
-        Self::of(handles, coincident, method, &given, cancelled)
+        Self::of(handles, Coincident::default(), method, &given, &|| false)
     }
 
     /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends
     /// less, towards the affine map that fits them best. A weight divides the smoothing of its
-    /// handle.
+    /// handle. Takes O(points^3), and nothing cancels it; [`RestDeformation::of`] can be cancelled.
     ///
     /// # Errors
     /// Lines, a smoothing out of range, too many coincidences of handles.
     pub fn spline(handles: Handles, smoothing: f64) -> Result<Self, DeformError> {
-        Self::spline_unless(handles, Coincident::default(), smoothing, &|| false)
-    }
-
-    /// Like [`RestDeformation::spline`], which takes O(points^3); stops when `cancelled` returns
-    /// true.
-    ///
-    /// # Errors
-    /// Those of [`RestDeformation::spline`]; cancelled.
-    pub fn spline_unless(
-        handles: Handles,
-        coincident: Coincident,
-        smoothing: f64,
-        cancelled: IsCancelled<'_>,
-    ) -> Result<Self, DeformError> {
         let given = Parameters::default().with("smoothing", smoothing);
+        let coincident = Coincident::default();
         Self::of(
             handles,
             coincident,
             Method::ThinPlateSpline,
             &given,
-            cancelled,
+            &|| false,
         )
     }
 

@@ -103,6 +103,8 @@ impl SubdivisionCache {
     ) -> Option<Vec<[f32; 2]>> {
         let len = group_len(level);
         let mut out = vec![[0.0; 2]; cells.len() * len];
+        // Only references are taken under the lock; other poses of the same handles wait for no
+        // arithmetic of this one.
         let found: Vec<Option<(CachedBlocks, usize)>> = {
             let kept = self.kept.read().unwrap_or_else(PoisonError::into_inner);
             cells
@@ -113,6 +115,7 @@ impl SubdivisionCache {
         let mut posed: (Option<CachedBlocks>, Vec<BlockDisplacements>) = (None, Vec::new());
         for (unit, out) in found.iter().zip(out.chunks_exact_mut(len)) {
             let Some((unit, group)) = unit else { continue };
+            // Cells are sorted, so groups that share a unit follow one another: it is posed once.
             if posed.0.as_ref().is_none_or(|last| !Arc::ptr_eq(last, unit)) {
                 if cancelled() {
                     return None;
@@ -127,6 +130,7 @@ impl SubdivisionCache {
         if missing.is_empty() {
             return Some(out);
         }
+        // Where rows take longer than they save, f itself is evaluated, and nothing is kept.
         let grid = posing.grid;
         if let Some(f) = posing.f {
             let places: Vec<Point> = cells
@@ -156,6 +160,7 @@ impl SubdivisionCache {
                 .map_init(|| Workspace::new(terms), compute)
                 .collect()
         };
+        // Units are put together in the order of the cells, whichever thread has computed them.
         let mut fresh = Vec::new();
         for (indices, (pairs, unit)) in missing.chunks(per_unit).zip(units?) {
             for (group, &k) in indices.iter().enumerate() {
@@ -185,6 +190,8 @@ impl SubdivisionCache {
         let blocks = places.len().div_ceil(LANES);
         let bytes =
             (blocks * per_block * size_of::<CoefficientLanes>() + cells.len() * ENTRY_BYTES) as u64;
+        // The memory is taken before the rows are computed. Two poses that race for the last of it
+        // cannot both keep theirs; the loser computes the same bits and drops them.
         let is_kept = self
             .left
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {

@@ -45,7 +45,49 @@ pub enum Encoding {
     Gif,
 }
 
+/// What may be chosen of an encoding. Each format takes what it has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EncodingChoice {
+    /// The effort of a lossless compression.
+    pub compression: Compression,
+    /// The quality of a lossy one, 1 to 100.
+    pub quality: u8,
+    /// The resolution of its colours; `None` follows from the quality.
+    pub subsampling: Option<Subsampling>,
+    /// The background of transparent pixels, if the format has no alpha.
+    pub ground: [u8; 3],
+}
+
+/// From this quality on, the colours of a JPEG have full resolution if nothing else is chosen.
+const FULL_COLOURS_QUALITY: u8 = 90;
+
 impl Encoding {
+    /// The encoding of a format.
+    #[must_use]
+    pub const fn of(format: Format, choice: EncodingChoice) -> Self {
+        let EncodingChoice {
+            compression,
+            quality,
+            subsampling,
+            ground,
+        } = choice;
+        match format {
+            Format::Png => Self::Png(compression),
+            Format::Jpeg => Self::Jpeg {
+                quality,
+                subsampling: match subsampling {
+                    Some(subsampling) => subsampling,
+                    None if quality < FULL_COLOURS_QUALITY => Subsampling::Half,
+                    None => Subsampling::Full,
+                },
+                ground,
+            },
+            Format::WebP => Self::WebP,
+            Format::Tiff => Self::Tiff(compression),
+            Format::Gif => Self::Gif,
+        }
+    }
+
     /// The format of the file.
     #[must_use]
     pub const fn format(self) -> Format {

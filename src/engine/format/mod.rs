@@ -9,7 +9,7 @@ mod limits;
 mod repairs;
 
 pub use self::dropped::{Dropped, DroppedKind};
-pub use self::encoding::{Compression, Encoding, Subsampling};
+pub use self::encoding::{Compression, Encoding, EncodingChoice, Subsampling};
 pub use self::error::CodecError;
 pub use self::limits::ImageLimits;
 pub use self::repairs::Repairs;
@@ -69,6 +69,44 @@ pub struct FormatInfo {
     pub keeps_labels: bool,
     /// Whether single pictures are written, and not the frames of an animation alone.
     pub is_of_pictures: bool,
+    /// Whether a client chooses a quality.
+    pub has_quality: bool,
+    /// What its files hold beside the pixels.
+    pub metadata: MetadataSupport,
+}
+
+/// The metadata that files of a format can hold.
+#[derive(Clone, Copy, Debug)]
+pub struct MetadataSupport {
+    /// Whether there are any: profile, resolution, EXIF and XMP.
+    pub is_any: bool,
+    /// Whether there are the chunks of a PNG that say what its numbers mean.
+    pub has_colour_chunks: bool,
+    /// Whether EXIF keeps its maker note.
+    pub has_maker_note: bool,
+    /// Which texts there are.
+    pub texts: TextSupport,
+}
+
+/// The texts that files of a format can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TextSupport {
+    /// None.
+    None,
+    /// Comments, which have no keyword.
+    Comments,
+    /// Comments, and texts with any keyword.
+    All,
+}
+
+impl MetadataSupport {
+    /// EXIF, XMP, a profile and a resolution, and nothing else.
+    const USUAL: Self = Self {
+        is_any: true,
+        has_colour_chunks: false,
+        has_maker_note: true,
+        texts: TextSupport::None,
+    };
 }
 
 /// Every format that is written, in the order of [`Format`].
@@ -87,6 +125,12 @@ pub const FORMATS: [FormatInfo; 5] = [
         streams: true,
         keeps_labels: true,
         is_of_pictures: true,
+        has_quality: false,
+        metadata: MetadataSupport {
+            has_colour_chunks: true,
+            texts: TextSupport::All,
+            ..MetadataSupport::USUAL
+        },
     },
     FormatInfo {
         format: Format::Jpeg,
@@ -102,6 +146,11 @@ pub const FORMATS: [FormatInfo; 5] = [
         streams: true,
         keeps_labels: false,
         is_of_pictures: true,
+        has_quality: true,
+        metadata: MetadataSupport {
+            texts: TextSupport::Comments,
+            ..MetadataSupport::USUAL
+        },
     },
     FormatInfo {
         format: Format::WebP,
@@ -117,6 +166,8 @@ pub const FORMATS: [FormatInfo; 5] = [
         streams: false,
         keeps_labels: false,
         is_of_pictures: true,
+        has_quality: false,
+        metadata: MetadataSupport::USUAL,
     },
     FormatInfo {
         format: Format::Tiff,
@@ -133,6 +184,11 @@ pub const FORMATS: [FormatInfo; 5] = [
         streams: false,
         keeps_labels: true,
         is_of_pictures: true,
+        has_quality: false,
+        metadata: MetadataSupport {
+            has_maker_note: false,
+            ..MetadataSupport::USUAL
+        },
     },
     FormatInfo {
         format: Format::Gif,
@@ -148,6 +204,11 @@ pub const FORMATS: [FormatInfo; 5] = [
         streams: false,
         keeps_labels: false,
         is_of_pictures: false,
+        has_quality: false,
+        metadata: MetadataSupport {
+            is_any: false,
+            ..MetadataSupport::USUAL
+        },
     },
 ];
 

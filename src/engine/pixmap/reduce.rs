@@ -31,16 +31,10 @@ const fn ceil_shift(length: u32, k: u32) -> u32 {
 }
 
 impl Pixmap {
-    /// The picture box-reduced by `2^k` along both axes; `k` = 0 is the picture itself.
+    /// The picture box-reduced by `2^k` along both axes; `k` = 0 is the picture itself. `None` when
+    /// cancelled, which is checked for each row.
     #[must_use]
-    pub fn reduced(&self, k: u32) -> Self {
-        self.reduced_unless(k, &|| false)
-            .expect("nothing gives it up")
-    }
-
-    /// Like [`Pixmap::reduced`]; `None` when cancelled, which is checked for each row.
-    #[must_use]
-    pub fn reduced_unless(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Self> {
+    pub fn reduced(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Self> {
         if k == 0 {
             return Some(self.clone());
         }
@@ -65,7 +59,7 @@ impl Pixmap {
     }
 }
 
-/// Memory of the samples of a picture of this shape, bytes.
+/// Memory that the samples of a picture take, bytes.
 #[must_use]
 pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
     extent
@@ -193,7 +187,7 @@ mod tests {
             Channels::Rgb,
             (0..9_u8).flat_map(|i| [i * 10, 100, 255 - i]).collect(),
         );
-        let half = picture.reduced(1);
+        let half = picture.reduced(1, &|| false).unwrap();
         assert_eq!(half.extent(), Extent::new(2, 2).unwrap());
         let Samples::Eight(samples) = half.samples() else {
             panic!("depth is kept")
@@ -204,20 +198,26 @@ mod tests {
             [20, 35, 65, 80]
         );
         assert!(samples.chunks(3).all(|p| p[1] == 100));
-        assert_eq!(picture.reduced(2).extent(), Extent::new(1, 1).unwrap());
-        assert_eq!(picture.reduced(40).extent(), Extent::new(1, 1).unwrap());
+        assert_eq!(
+            picture.reduced(2, &|| false).unwrap().extent(),
+            Extent::new(1, 1).unwrap()
+        );
+        assert_eq!(
+            picture.reduced(40, &|| false).unwrap().extent(),
+            Extent::new(1, 1).unwrap()
+        );
     }
 
     #[test]
     fn reduction_weighs_colours_by_alpha() {
         let picture = pixmap(2, 1, Channels::Rgba, vec![200, 0, 0, 255, 0, 255, 0, 0]);
         assert_eq!(
-            picture.reduced(1).samples(),
+            picture.reduced(1, &|| false).unwrap().samples(),
             &Samples::Eight(vec![200, 0, 0, 128])
         );
         let nothing = pixmap(2, 1, Channels::Rgba, vec![200, 0, 0, 0, 0, 255, 0, 0]);
         assert_eq!(
-            nothing.reduced(1).samples(),
+            nothing.reduced(1, &|| false).unwrap().samples(),
             &Samples::Eight(vec![0, 0, 0, 0])
         );
     }
@@ -231,7 +231,7 @@ mod tests {
             Samples::Sixteen([1000, 65535, 7, 65535].repeat(4)),
         );
         assert_eq!(
-            picture.reduced(1).samples(),
+            picture.reduced(1, &|| false).unwrap().samples(),
             &Samples::Sixteen(vec![1000, 65535, 7, 65535])
         );
     }
@@ -260,7 +260,7 @@ mod tests {
                     let expected =
                         reduce(&samples, picture.extent(), channels, k, &|| false).unwrap();
                     assert_eq!(
-                        picture.reduced(k).samples(),
+                        picture.reduced(k, &|| false).unwrap().samples(),
                         &Samples::Eight(expected),
                         "{width} x {height}, {k}, {channels:?}"
                     );

@@ -56,12 +56,12 @@ impl YRange {
     }
 }
 
-/// Lattice y of the centres of a row of pixels.
+/// The y at which the pixels in a row have their centres, in lattice steps.
 pub(super) const fn row_centre(row: u32) -> i64 {
     row as i64 * STEPS_PER_PX as i64 + HALF_PX as i64
 }
 
-/// Lattice x of the centre of a column of pixels.
+/// The x at which the pixels in a column have their centres, in lattice steps.
 pub(super) const fn column_centre(pixel: usize) -> f64 {
     pixel as f64 * STEPS_PER_PX as f64 + HALF_PX as f64
 }

@@ -150,7 +150,7 @@ impl SnappedGrid {
     }
 }
 
-/// Ranges of y of the rows of cells and of their blocks.
+/// The y that each row of cells reaches, and each block in it.
 fn y_ranges(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
     let blocks = pitch / BLOCK_COLUMNS;
     let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];

@@ -34,9 +34,9 @@ pub(super) struct SnappedGrid {
     pub(super) longest_side: i32,
     /// Largest error of column crossings relative to the patch, px of the sampled picture.
     pub(super) crossing_error: f32,
-    /// Range of y of each row of cells.
+    /// The y that each row of cells reaches.
     pub(super) row_ranges: Vec<YRange>,
-    /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK_COLUMNS]`.
+    /// The y that each block of cells reaches, `[rows - 1][pitch / BLOCK_COLUMNS]`.
     pub(super) block_ranges: Vec<YRange>,
     /// The cells that are drawn as smaller ones.
     pub(super) fine: SnappedSubdividedCells,

@@ -45,7 +45,7 @@ impl Source {
         &self.pixmap
     }
 
-    /// Upper bound of the memory of a source of this shape, all copies included, bytes.
+    /// Upper bound of the memory that a source of this shape takes with all its copies, bytes.
     #[must_use]
     pub fn bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
         (0..=deepest(extent))
@@ -70,13 +70,13 @@ impl Source {
         (1..=deepest(extent)).take_while(fits).last().unwrap_or(0)
     }
 
-    /// The picture reduced by `2^k`.
+    /// The picture reduced by `2^k`, as [`Source::make_copies`] has made it.
     pub(super) fn level(&self, k: u32) -> &Self {
-        self.level_unless(k, NEVER).expect("nothing gives it up")
+        self.make_level(k, NEVER).expect("nothing gives it up")
     }
 
-    /// Like [`Source::level`]; `None` when cancelled.
-    fn level_unless(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<&Self> {
+    /// Reduces the picture by `2^k`, once; `None` when cancelled.
+    fn make_level(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<&Self> {
         let Some(cell) = (k as usize)
             .checked_sub(1)
             .and_then(|index| self.reduced.get(index))
@@ -84,7 +84,7 @@ impl Source {
             return Some(self);
         };
         let level = self.copy(cell, || {
-            let pixmap = self.pixmap.reduced_unless(k, cancelled)?;
+            let pixmap = self.pixmap.reduced(k, cancelled)?;
             Some(Box::new(Self {
                 pixmap,
                 packed: OnceLock::new(),
@@ -135,7 +135,7 @@ impl Source {
         cancelled: &dyn Fn() -> bool,
     ) -> Option<u32> {
         let k = self.level_for(size);
-        let reduced = self.level_unless(k, cancelled)?;
+        let reduced = self.make_level(k, cancelled)?;
         if let (true, Samples::Eight(samples)) = (is_packed, reduced.pixmap.samples()) {
             reduced.copy(&reduced.packed, || {
                 Packed::new(&reduced.pixmap, samples, cancelled)

@@ -26,7 +26,7 @@ pub(super) struct SnappedSubdividedCell {
 pub(super) struct SnappedSubdividedCells {
     pub(super) cells: Vec<SnappedSubdividedCell>,
     pub(super) corners: Vec<Corner>,
-    /// Index of the first cell of each row of cells, and the number of all.
+    /// For each row of cells the index of its first cell; at the end the number of all.
     pub(super) rows: Vec<usize>,
     /// The subdivided cells, one bit each, `[rows][pitch / BLOCK_COLUMNS]`.
     pub(super) bits: Vec<u8>,

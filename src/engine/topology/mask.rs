@@ -26,7 +26,7 @@ pub struct Mask {
     width: usize,
     height: usize,
     inside: usize,
-    /// Steps of a line of sight for each px of its length, on the average.
+    /// The steps that a line of sight takes for each px on the average.
     steps_per_px: f64,
     /// One byte per pixel: see the constants.
     pixels: Vec<u8>,

@@ -44,7 +44,7 @@ pub struct NodesSize {
 }
 
 impl NodesSize {
-    /// Bytes of what is known of blocks of `stride` px, beside the nodes.
+    /// Memory for the blocks of `stride` px beside the nodes, bytes.
     #[must_use]
     pub const fn block_bytes(&self, stride: usize) -> u64 {
         // Vectors grow by doubling.

@@ -249,7 +249,13 @@ mod tests {
             units,
             ..RestSpec::default()
         };
-        ResolvedRest::new(&rest, Extent::new(200, 100).unwrap(), &Limits::default()).unwrap()
+        ResolvedRest::new(
+            &rest,
+            Extent::new(200, 100).unwrap(),
+            &Limits::default(),
+            &|| false,
+        )
+        .unwrap()
     }
 
     fn point(x: f64, y: f64) -> Handle {

@@ -3,7 +3,7 @@
 
 /// "expand 32-byte k", as little-endian words.
 const CONSTANTS: [u32; 4] = [0x6170_7865, 0x3320_646e, 0x7962_2d32, 0x6b20_6574];
-/// Pairs of a round of columns and one of diagonals.
+/// A double round mixes the columns, then the diagonals.
 const DOUBLE_ROUNDS: usize = 4;
 
 /// A stream of numbers: each seed has one for each frame.

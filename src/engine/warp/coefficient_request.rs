@@ -95,9 +95,8 @@ impl CoefficientRequest {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn fill_unless(&self, cancelled: IsCancelled<'_>) -> Result<CoefficientTable, WarpError> {
-        CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
-            .ok_or(WarpError::Cancelled)
+    pub fn fill(&self, cancelled: IsCancelled<'_>) -> Result<CoefficientTable, WarpError> {
+        CoefficientTable::of_grid(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled)
     }
 
     /// The lattice.

@@ -76,7 +76,7 @@ impl CutRest {
         Ok((cut, Some(bytes)))
     }
 
-    /// The size of the lattice of a mask with cells of `side` px.
+    /// The size of the lattice that a mask has with cells of `side` px.
     ///
     /// Errors: It takes more memory than the limit of a plan; cancelled.
     fn size(
@@ -97,7 +97,7 @@ impl CutRest {
         field: &RestDeformation,
         cancelled: IsCancelled<'_>,
     ) -> Option<CoefficientTable> {
-        CoefficientTable::of_cut_unless(field, &self.vertices, cancelled)
+        CoefficientTable::of_cut(field, &self.vertices, cancelled)
     }
 
     /// The posed mesh; `None` when cancelled.
@@ -111,7 +111,7 @@ impl CutRest {
         let Some(table) = table else {
             return field.pose_mesh(pose, cancelled);
         };
-        let (moved, quality) = table.displace_unless(pose, cancelled)?;
+        let (moved, quality) = table.displace(pose, cancelled)?;
         let cut = CutMesh::new(Arc::clone(&self.cells), moved);
         Some((Mesh::cut(cut), quality))
     }

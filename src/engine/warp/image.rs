@@ -121,7 +121,7 @@ impl Image {
         }
     }
 
-    /// A picture that was made of others, with what it has of the file of one of them.
+    /// A picture that was made from others; its metadata are those of one of their files.
     pub(super) fn of_parts(
         digest: Digest,
         pixmap: Pixmap,
@@ -229,7 +229,7 @@ impl Image {
     }
 }
 
-/// Upper bound of the memory of a picture of this shape with all that is derived from it, bytes.
+/// Upper bound of the memory that a picture takes with all that is derived from it, bytes.
 fn used_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
     Source::bytes(extent, channels, depth).saturating_add(8 * occupied_words(extent) as u64)
 }

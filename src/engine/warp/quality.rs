@@ -13,8 +13,8 @@ use crate::render::{Canvas, InverseMap};
 const SEGMENT_SAMPLES: u32 = 5;
 /// The most folded regions that are listed.
 const MOST_REGIONS: usize = 100;
-/// The round trip is measured at the centres of this number of equal parts of each side, or of
-/// pixels if there are fewer.
+/// Each side is divided into this number of equal parts, or into pixels if it has fewer. The round
+/// trip is measured at their centres.
 const ROUND_TRIP_PARTS: u32 = 32;
 /// f is the same at two positions if its values are nearer than this, px.
 const SAME_VALUE_PX: f64 = 1e-6;

@@ -65,10 +65,10 @@ pub struct ResolvedRest {
 
 impl ResolvedRest {
     /// Resolves and validates. Cheap relative to a plan: O(handles log handles). A spline is
-    /// computed here: O(handles^3).
+    /// computed here: O(handles^3). Stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Invalid handles, parameters or grid, or too many of them.
+    /// Invalid handles, parameters or grid, or too many of them; cancelled.
     ///
     /// ```
     /// use mlswarp::deform::Handle;
@@ -78,20 +78,12 @@ impl ResolvedRest {
     /// let p = vec![Handle::Point(Point::new(100.0, 100.0))];
     /// let rest = RestSpec { p, ..RestSpec::default() };
     /// let extent = Extent::new(640, 480).unwrap();
-    /// let resolved = ResolvedRest::new(&rest, extent, &Limits::default())?;
+    /// let resolved = ResolvedRest::new(&rest, extent, &Limits::default(), &|| false)?;
     /// // The fall-off that holds for points alone.
     /// assert_eq!(resolved.alpha(), Some(1.0));
     /// # Ok::<(), mlswarp::warp::WarpError>(())
     /// ```
-    pub fn new(rest: &RestSpec, extent: Extent, limits: &Limits) -> Result<Self, WarpError> {
-        Self::new_unless(rest, extent, limits, &|| false)
-    }
-
-    /// Like [`ResolvedRest::new`]; stops when `cancelled` returns true.
-    ///
-    /// # Errors
-    /// Those of [`ResolvedRest::new`]; cancelled.
-    pub fn new_unless(
+    pub fn new(
         rest: &RestSpec,
         extent: Extent,
         limits: &Limits,
@@ -355,23 +347,16 @@ impl ResolvedRest {
             .is_none_or(|bytes| !deform::CoefficientTable::is_posed_on_one_thread(bytes))
     }
 
-    /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
-    #[must_use]
-    pub fn plan(&self) -> CompiledRest {
-        self.plan_unless(&|| false).expect("nothing gives it up")
-    }
-
-    /// Like [`ResolvedRest::plan`]; stops when `cancelled` returns true.
+    /// Fills the table of A_j in parallel on the current rayon pool. CPU work. Stops when
+    /// `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.
-    pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<CompiledRest, WarpError> {
+    pub fn plan(&self, cancelled: IsCancelled<'_>) -> Result<CompiledRest, WarpError> {
         let fill = |_| {
             let table = match &self.cut {
                 Some(cut) => cut.table(&self.field, cancelled),
-                None => {
-                    deform::CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
-                }
+                None => deform::CoefficientTable::of_grid(&self.field, &self.grid, cancelled),
             };
             table.ok_or(WarpError::Cancelled)
         };
@@ -560,7 +545,7 @@ impl ResolvedRest {
         let posed = match (f, &plan.table, &self.cut) {
             (Some(f), ..) => f.mesh(&self.grid, pose, cancelled),
             (None, table, Some(cut)) => cut.pose(&self.field, table.as_ref(), pose, cancelled),
-            (None, Some(table), None) => table.pose_unless(&self.grid, pose, cancelled),
+            (None, Some(table), None) => table.pose(&self.grid, pose, cancelled),
             (None, None, None) => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::{CanvasSpec, RestMask, Warning, WarpError};
 use crate::deform::{Coincident, Handle, Method, Parameters};
-use crate::format::{Compression, Encoding, Format, ImageLimits, Subsampling};
+use crate::format::{Compression, Encoding, EncodingChoice, Format, ImageLimits, Subsampling};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
 
@@ -140,8 +140,8 @@ pub struct RestSpec {
     /// The share of full alpha above which a pixel belongs to the mask; default
     /// [`RestMask::THRESHOLD`].
     pub mask_threshold: Option<f64>,
-    /// The pixels that handles can act through, if the metric or the method needs to know them:
-    /// made of the image and of what else of this says which they are.
+    /// The pixels that handles can act through, if the metric or the method needs to know them,
+    /// made from the image and the threshold.
     pub mask: Option<RestMask>,
     /// The treatment of handles that coincide at rest.
     pub coincident: Coincident,
@@ -250,8 +250,6 @@ pub struct OutputSpec {
 
 /// JPEG quality if none is requested.
 const DEFAULT_JPEG_QUALITY: u8 = 85;
-/// From this quality on, the colours of a JPEG have full resolution if nothing else is requested.
-const FULL_COLOURS: u8 = 90;
 
 impl Default for OutputSpec {
     /// A PNG of the source's size, fast compression, bilinear, transparent outside.
@@ -275,29 +273,18 @@ impl OutputSpec {
     /// colour outside, or white.
     #[must_use]
     pub fn encoding(&self, depth: Depth) -> Encoding {
-        match self.format {
-            Format::Png => Encoding::Png(self.compression),
-            Format::Jpeg => {
-                let ground = match self.outside {
-                    Outside::Colour([r, g, b, _]) => [r, g, b],
-                    Outside::Value(value) => value.map(|sample| in_eight(sample, depth)),
-                    Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
-                };
-                let subsampling = match self.subsampling {
-                    Some(subsampling) => subsampling,
-                    None if self.quality < FULL_COLOURS => Subsampling::Half,
-                    None => Subsampling::Full,
-                };
-                Encoding::Jpeg {
-                    quality: self.quality,
-                    subsampling,
-                    ground,
-                }
-            }
-            Format::WebP => Encoding::WebP,
-            Format::Tiff => Encoding::Tiff(self.compression),
-            Format::Gif => Encoding::Gif,
-        }
+        let ground = match self.outside {
+            Outside::Colour([r, g, b, _]) => [r, g, b],
+            Outside::Value(value) => value.map(|sample| in_eight(sample, depth)),
+            Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
+        };
+        let choice = EncodingChoice {
+            compression: self.compression,
+            quality: self.quality,
+            subsampling: self.subsampling,
+            ground,
+        };
+        Encoding::of(self.format, choice)
     }
 }
 

@@ -33,7 +33,7 @@ impl RestSummary {
     ///
     /// # Errors
     /// Those of [`ResolvedRest::new`]; cancelled.
-    pub fn new_unless(
+    pub fn new(
         rest: &RestSpec,
         extent: Extent,
         limits: &Limits,
@@ -93,8 +93,8 @@ mod tests {
                     method,
                     ..RestSpec::default()
                 };
-                let setup = ResolvedRest::new(&rest, extent, &limits).unwrap();
-                let summary = RestSummary::new_unless(&rest, extent, &limits, &|| false).unwrap();
+                let setup = ResolvedRest::new(&rest, extent, &limits, &|| false).unwrap();
+                let summary = RestSummary::new(&rest, extent, &limits, &|| false).unwrap();
                 assert_eq!(
                     summary,
                     RestSummary::of(&setup),

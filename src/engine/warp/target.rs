@@ -118,7 +118,7 @@ pub struct Target {
 }
 
 impl Target {
-    /// A picture of this size of a part of the posed plane, or of the box of the source.
+    /// A picture of this size that shows a part of the posed plane, or the box of the source.
     #[must_use]
     pub const fn of(canvas: Option<Canvas>, extent: Extent) -> Self {
         Self {
@@ -129,7 +129,7 @@ impl Target {
         }
     }
 
-    /// What the picture has of the metadata of a source of this size.
+    /// The metadata that the picture has from a source of this size.
     #[cfg(feature = "codec")]
     pub(super) fn carried(&self, metadata: &Arc<Metadata>, source: Extent) -> Carried {
         let carried = Carried::new(

@@ -257,7 +257,7 @@ impl Warper {
     fn to_invert(&self) -> Result<&(ResolvedRest, CompiledRest), WarpError> {
         if self.inner.to_invert.get().is_none() {
             let resolved = self.inner.resolved.to_invert(&self.inner.limits)?;
-            let compiled = self.cancellable(|cancelled| resolved.plan_unless(cancelled))?;
+            let compiled = self.cancellable(|cancelled| resolved.plan(cancelled))?;
             // Another thread may have been first, with the same.
             let _ = self.inner.to_invert.set((resolved, compiled));
         }
@@ -383,8 +383,8 @@ impl WarperBuilder {
         }
         .check(extent)?;
         let is_cancelled = || cancel.is_cancelled();
-        let resolved = ResolvedRest::new_unless(&rest, extent, &limits, &is_cancelled)?;
-        let compiled = resolved.plan_unless(&is_cancelled)?;
+        let resolved = ResolvedRest::new(&rest, extent, &limits, &is_cancelled)?;
+        let compiled = resolved.plan(&is_cancelled)?;
         let inner = Inner {
             extent,
             rest,

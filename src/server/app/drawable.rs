@@ -108,10 +108,10 @@ impl DrawnContent {
         if matches!(self.drawable, Drawable::Image(_)) {
             return pictures;
         }
-        let format = if pictures.format == Format::Tiff {
-            Format::Tiff
+        let format = if pictures.format.keeps_labels() {
+            pictures.format
         } else {
-            Format::Png
+            Format::default()
         };
         let outside = if matches!(pictures.outside, Outside::Value(_)) {
             Outside::Transparent

@@ -12,7 +12,7 @@ use mlswarp::warp::{
 };
 
 use super::App;
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use super::reading::{Held, part};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
@@ -116,7 +116,7 @@ async fn compare(
             .admission
             .reserve_for(MemoryClass::Frame, &quota, text as u64)?;
         let predictions = predict(&app, rest, &q, extent, candidates, cancel)?;
-        let body = json_unless(cancel, &FitAnswer(&predictions), text)?;
+        let body = cancellable_json(cancel, &FitAnswer(&predictions), text)?;
         Ok::<_, Problem>(reservation.attach_exact(body))
     };
     Ok((ticket.run(work).await??, warnings))

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::pool::Cancel;
 
 /// Serialises a value to JSON in a buffer of this initial capacity, unless it is cancelled.
-pub(crate) fn json_unless(
+pub(crate) fn cancellable_json(
     cancel: &Cancel,
     value: &impl Serialize,
     capacity: usize,

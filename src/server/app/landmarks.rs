@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 
 use super::App;
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use super::reading::Held;
 use crate::client::Client;
 use crate::limits::memory::MemoryClass;
@@ -88,7 +88,7 @@ pub(crate) async fn convert(
         let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
         let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
         let reservation = admission.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
-        let body = json_unless(cancel, &*landmarks, length)?;
+        let body = cancellable_json(cancel, &*landmarks, length)?;
         Ok::<_, Problem>(reservation.attach_exact(body))
     });
     write.await?

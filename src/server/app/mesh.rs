@@ -8,7 +8,7 @@ use mlswarp::deform::Handle;
 use mlswarp::warp::{CompactLattice, PosedMesh, Report, WarpError};
 
 use super::App;
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use super::parts::plans::Planned;
 use super::reading::Held;
 use super::session_warp::{AdmittedPlan, admit_step, newest_setup, posed};
@@ -64,7 +64,7 @@ impl MeshForm {
         let cancelled = || cancel.is_cancelled();
         match self {
             Self::Json => Ok((
-                json_unless(
+                cancellable_json(
                     cancel,
                     &MeshObject {
                         shape,

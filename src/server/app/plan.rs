@@ -102,7 +102,7 @@ pub(crate) async fn of_session(
         let plan = app
             .admission
             .pool
-            .run_parallel(|| table.fill_unless(&is_cancelled))?;
+            .run_parallel(|| table.fill(&is_cancelled))?;
         let file = plan_file(&table, &plan, precision, extent, &is_cancelled)?
             .ok_or_else(|| too_imprecise(precision))?;
         drop(plan);

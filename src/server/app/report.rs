@@ -11,7 +11,7 @@ use mlswarp::warp::{
 
 use super::App;
 use super::drawable::DrawnContent;
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use super::mesh::PoseResponse;
 use super::parts::plans::{HeldSetup, Planned};
 use super::reading::Held;
@@ -228,7 +228,7 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseRespon
         drawing
             .admission
             .reserve_more(&mut reservation, text as u64)?;
-        let body = json_unless(cancel, &answer, text)?;
+        let body = cancellable_json(cancel, &answer, text)?;
         let body = reservation.attach_exact(body);
         Ok::<_, Problem>(PoseResponse {
             report,

@@ -10,7 +10,7 @@ use data_encoding::HEXLOWER;
 use mlswarp::deform::Coincident;
 use mlswarp::warp::{Align, Digest, Metric, RestMask, RestSummary, Warning};
 
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use crate::cache::CacheEntry;
 use crate::layer::MAX_LAYERS;
 use crate::limits::memory::Reservation;
@@ -183,7 +183,7 @@ pub(crate) fn revision_text(
         layers: layers.collect(),
         created: &rfc3339(record.created),
     };
-    let mut text = json_unless(cancel, &object, usize::try_from(length).unwrap_or_default())?;
+    let mut text = cancellable_json(cancel, &object, usize::try_from(length).unwrap_or_default())?;
     // The members that change follow.
     text.pop();
     text.shrink_to_fit();

@@ -1,5 +1,5 @@
-//! TLS: the server's certificate and key, and the TLS clients of the health check and of the
-//! exporter of traces.
+//! TLS: the server's certificate and key, and the clients for the health check and for exporting
+//! traces.
 
 use std::fmt;
 use std::io::{self, Read, Write};

@@ -86,16 +86,12 @@ pub(super) fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
             .unwrap_or(Format::Jpeg)
     };
     let named = output["format"].as_str().map_or(Format::Png, of_name);
-    match kind {
-        Out::File(BatchForm::Gif) => (
-            Format::Gif,
+    match kind.form().frame_format() {
+        Some(format) => (
+            format,
             "leave it out, or give a .zip or a folder and --format jpeg",
         ),
-        Out::File(BatchForm::Apng) => (
-            Format::Png,
-            "leave it out, or give a .zip or a folder and --format jpeg",
-        ),
-        Out::File(BatchForm::Zip) | Out::Directory => (named, "give --format jpeg"),
+        None => (named, "give --format jpeg"),
     }
 }
 

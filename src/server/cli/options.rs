@@ -155,7 +155,7 @@ pub(super) fn require_quality_of_jpeg(
     format: Format,
     cure: &str,
 ) -> Result<(), Failure> {
-    if options.quality.is_none() || format == Format::Jpeg {
+    if options.quality.is_none() || format.info().has_quality {
         return Ok(());
     }
     let detail = format!(

@@ -1,5 +1,5 @@
-//! The memory that this process may use: the least of the machine's and of the limits of its
-//! control groups (Linux).
+//! The memory that this process may use: that of the machine, or what its control groups allow
+//! (Linux), whichever is less.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -19,9 +19,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Age of the samples of the time of a frame.
+/// How long a measured time of a frame counts.
 const SAMPLE_AGE: Duration = Duration::from_secs(10);
-/// Age of the samples of the rate: a rate that falls is noticed in this time.
+/// How long a measured rate counts: a rate that falls is noticed in this time.
 const RATE_MEMORY: Duration = Duration::from_secs(2);
 /// One sample of the time of a frame is kept in each interval of this length, of frames of about
 /// equal size.
@@ -29,8 +29,8 @@ const SAMPLE_INTERVAL: Duration = Duration::from_millis(200);
 /// Maximum numbers of samples: of the rate, and of the time of a frame.
 const MAX_RATE_SAMPLES: usize = 64;
 const MAX_TIME_SAMPLES: usize = 512;
-/// Frames of at most this part of the size of another one are compared with it, and those whose
-/// size differs by at most the second part count as equal.
+/// Two frames are compared if the smaller has at most this part of the other's size. Frames whose
+/// sizes differ by at most the second part count as equal.
 const SMALLER_SIZE_RATIO: f64 = 0.75;
 const EQUAL_SIZE_SHARE: f64 = 0.1;
 /// Weight of the newest frame in the mean difference.

@@ -162,7 +162,7 @@ impl PictureLadder {
         (width, Encoding::Jpeg(quality))
     }
 
-    /// The encoding of a picture of full width of a resting pointer.
+    /// The encoding of the picture of full width that is sent while the pointer rests.
     pub fn at_rest(&self, rate: Option<f64>) -> Encoding {
         let bytes = self.bytes(self.full, Encoding::Png);
         if rate.is_some_and(|rate| bytes <= rate * REST_SECONDS) {

@@ -81,7 +81,7 @@ impl Pause {
     }
 }
 
-/// The widths of previews of pictures of this width, widest first.
+/// The widths of the previews that a picture has, widest first.
 pub fn preview_widths(width: u32) -> Vec<u32> {
     let mut widths: Vec<u32> = WIDTH_EIGHTHS
         .iter()
@@ -172,12 +172,15 @@ impl PreviewController {
     }
 
     fn judge(&mut self, now: Instant, passed: Duration) {
+        // Drawing and sending overlap: the slower of both is the time between two frames.
         let period = self.draw.max(self.gap);
         match self.trial.take() {
             Some(Trial {
                 from,
                 period: before,
             }) if from < self.at && period * EQUAL_PERIOD_RATIO > before => {
+                // Smaller frames come no faster: something other than pixels takes the time, such
+                // as the distance to the client. They would only be coarser.
                 self.narrower.begin(now);
                 return self.step(from, None);
             }
@@ -185,6 +188,8 @@ impl PreviewController {
                 from,
                 period: before,
             }) if from > self.at && period > MAX_PERIOD && period > before * EQUAL_PERIOD_RATIO => {
+                // Wider frames are too slow. The next attempt waits longer, or the picture would
+                // flicker between two widths.
                 self.wider.begin(now);
                 return self.step(from, None);
             }
@@ -192,6 +197,7 @@ impl PreviewController {
             Some(_) => self.narrower = Pause::NONE,
             None => {}
         }
+        // The model: time is proportional to pixels. A trial shows whether that holds.
         let after =
             |to: usize| period * (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
         let trial = Some(Trial {

@@ -1,5 +1,5 @@
-//! Stores of sessions and of the files of their pictures and layers: one trait, three
-//! implementations, one test suite for all of them.
+//! Stores: they keep sessions, and the files of their pictures and layers. There is one trait with
+//! three implementations, and one test suite for all of them.
 //!
 //! | store | an answered change lasts | when the store fails |
 //! |---|---|---|

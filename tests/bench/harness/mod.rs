@@ -101,7 +101,7 @@ fn timed(work: &mut dyn FnMut(), repeats: u32) -> f64 {
 const SAMPLE: Duration = Duration::from_micros(300);
 /// A contender that has taken so long rests while the others go on, ...
 const ENOUGH: Duration = Duration::from_millis(1200);
-/// ... once it has so many samples.
+/// ... once it has this number of samples.
 const MIN_SAMPLES: usize = 5;
 
 /// Samples of one contender, seconds of a call, rising.

@@ -59,7 +59,7 @@ impl Other {
         other
     }
 
-    /// Seconds of a call of a contender of the other process.
+    /// The seconds that one call of a contender takes in the other process.
     pub fn seconds(&mut self, name: &str) -> f64 {
         writeln!(self.input, "{name}").expect("the other process reads");
         self.hear().parse().expect("seconds")

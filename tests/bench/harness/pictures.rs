@@ -128,7 +128,7 @@ const HANDLES: [([f64; 2], [f64; 2]); 12] = [
     ([0.65, 0.6], [0.05, 0.03]),
     ([0.9, 0.1], [-0.04, 0.03]),
 ];
-/// So many of them bend the mesh.
+/// The number of them that bend the mesh.
 const OF_MESH: usize = 11;
 
 /// The first `n` of twelve handles, at rest and moved by `strength` times their way.

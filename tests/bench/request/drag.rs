@@ -60,9 +60,9 @@ impl Drag {
     pub fn of_handles(file: &[u8], spec: RestSpec, poses: Vec<Vec<Handle>>) -> Self {
         let limits = Limits::default();
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
-        let setup =
-            ResolvedRest::new(&spec, image.extent(), &limits).expect("handles that can be warped");
-        let plan = setup.plan();
+        let setup = ResolvedRest::new(&spec, image.extent(), &limits, &|| false)
+            .expect("handles that can be warped");
+        let plan = setup.plan(&|| false).unwrap();
         Self {
             image,
             setup,
@@ -142,7 +142,10 @@ pub fn deformation(extent: Extent, handle_count: usize) -> (deform::CoefficientT
         VERTICES,
         VERTICES,
     );
-    (deform::CoefficientTable::of_grid(&field, &grid), pose)
+    (
+        deform::CoefficientTable::of_grid(&field, &grid, &|| false).unwrap(),
+        pose,
+    )
 }
 
 /// A picture as a file, RGBA if it is.

@@ -324,7 +324,7 @@ pub fn answer(folder: Option<&Path>) {
         inside(&one, ONE, || a.picture(0)),
         inside(&two, TWO, || b.picture(1)),
         inside(&one, "deform", || {
-            _ = black_box(plan.displace(black_box(&pose)))
+            _ = black_box(plan.displace(black_box(&pose), &|| false))
         }),
     ]);
 }

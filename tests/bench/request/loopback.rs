@@ -51,7 +51,7 @@ fn table(
         Drag::of_file(&file, HANDLES, GRID),
         Drag::of_file(&file, HANDLES, GRID),
     ];
-    // A session a connection, as of so many users; they share the picture and the plan.
+    // Each connection has its session, as if each were a user; they share the picture and the plan.
     let most = connections.iter().copied().max().unwrap_or(1);
     let mut clients: Vec<_> = (0..most)
         .map(|_| open(&service, &file, &drags[0]))

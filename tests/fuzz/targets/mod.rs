@@ -27,7 +27,7 @@ pub(crate) const TARGETS: [Target; 8] = [
     ("token", token::check),
 ];
 
-/// What every problem document must be, whoever wrote it.
+/// What holds for every problem document, from every part of the program.
 fn assert_is_problem(document: &serde_json::Value) {
     let text = |field: &str| {
         document[field]

@@ -29,6 +29,7 @@ pub(super) fn keep(bytes: &[u8]) {
                     plan_bytes: 1 << 20,
                     ..Limits::default()
                 },
+                &|| false,
             ) {
                 assert!(setup.alpha().is_none_or(f64::is_finite));
             }

@@ -148,11 +148,17 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
 fn measured(object: &ReportObject) -> Result<(), Problem> {
     let (mut warp, extent) = (object.warp.clone(), object.extent);
     let alignment = warp.settle_pose(extent)?;
-    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
+    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS, &|| false)?;
     let (q, never) = (warp.posed()?, || false);
     let pose = setup.pose(q)?;
     warp.output.check(extent, &LIMITS)?;
-    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
+    let posed = PosedMesh::new(
+        &setup,
+        &setup.plan(&|| false)?,
+        &pose,
+        Folds::Report,
+        &never,
+    )?;
     let quality = Quality::of(
         &setup,
         q,
@@ -187,10 +193,16 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
 fn warped(object: &WarpObject) -> Result<(), Problem> {
     let mut object = object.clone();
     object.settle_pose(IMAGE.extent())?;
-    let setup = ResolvedRest::new(&object.rest, IMAGE.extent(), &LIMITS)?;
+    let setup = ResolvedRest::new(&object.rest, IMAGE.extent(), &LIMITS, &|| false)?;
     let pose = setup.pose(object.posed()?)?;
     object.output.check(IMAGE.extent(), &LIMITS)?;
-    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
+    let posed = PosedMesh::new(
+        &setup,
+        &setup.plan(&|| false)?,
+        &pose,
+        object.folds,
+        &|| false,
+    )?;
     assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
     assert!(
         posed.vertices().flatten().all(f64::is_finite),
@@ -215,10 +227,10 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
     for format in MapFormat::ALL {
         let spec = object.spec(&warp.output, format);
         spec.check(extent, &LIMITS)?;
-        let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
+        let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS, &|| false)?;
         let posed = PosedMesh::new(
             &setup,
-            &setup.plan(),
+            &setup.plan(&|| false)?,
             &setup.pose(warp.posed()?)?,
             warp.folds,
             &|| false,
@@ -241,9 +253,11 @@ fn mapped(object: &PointsObject) -> Result<(), Problem> {
         return Ok(());
     };
     warp.settle_pose(extent)?;
-    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
+    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS, &|| false)?;
     let pose = setup.pose(warp.posed()?)?;
-    let posed = PosedMesh::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
+    let posed = PosedMesh::coarse(&setup, &setup.plan(&|| false)?, &pose, warp.folds, &|| {
+        false
+    })?;
     let transform = if object.annotations.is_inverse {
         setup.inverse(&pose, posed.mesh())
     } else {

@@ -27,7 +27,7 @@ pub(crate) fn ihdr(width: u32, height: u32) -> Vec<u8> {
     .concat()
 }
 
-/// So many zeros, rounded down to whole MiB, in a thousandth of their size.
+/// `bytes` zeros, rounded down to whole MiB, in a thousandth of their size.
 pub(crate) fn deflated_zeros(bytes: usize) -> Vec<u8> {
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
     let zeros = vec![0; 1 << 20];
@@ -222,7 +222,7 @@ impl EmptyBlock {
     }
 }
 
-/// Bytes behind so many empty blocks, as zlib has them.
+/// Bytes behind `count` empty blocks, as zlib has them.
 pub(crate) fn behind_blocks(block: EmptyBlock, count: usize, bytes: &[u8]) -> Vec<u8> {
     let mut pen = Pen::default();
     pen.put(0x0178, 16);
@@ -244,7 +244,7 @@ pub(crate) fn behind_blocks(block: EmptyBlock, count: usize, bytes: &[u8]) -> Ve
     pen.bytes
 }
 
-/// An RGB PNG of zeros behind so many empty blocks.
+/// An RGB PNG of zeros behind `count` empty blocks.
 pub(crate) fn png_behind_blocks(side: u32, block: EmptyBlock, count: usize) -> Vec<u8> {
     let rows = vec![0; (side * (1 + 3 * side)) as usize];
     png(&[

@@ -65,7 +65,7 @@ impl Collector {
         collector
     }
 
-    /// From now on it rejects so many spans of each batch.
+    /// From now on it rejects this number of spans of each batch.
     pub(crate) fn reject(&self, rejected_spans: i64) {
         let partial = ExportTracePartialSuccess {
             rejected_spans,

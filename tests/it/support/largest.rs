@@ -219,7 +219,7 @@ fn points(count: u32, by: f64) -> Value {
     (0..count).map(place).collect()
 }
 
-/// So many bytes of a list.
+/// A list of about this number of bytes.
 fn list(item: &str, bytes: usize) -> String {
     let count = bytes.saturating_sub(200) / (item.len() + 1);
     format!("[{}]", vec![item; count.max(1)].join(","))

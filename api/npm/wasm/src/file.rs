@@ -91,7 +91,9 @@ pub(crate) fn warp(file: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Ve
     }
     let rest = object.resolve(None, extent, &limits, MOST_FIT_HANDLES, &|| false)?;
     let pose = rest.pose(object.posed()?)?;
-    let posed = PosedMesh::new(&rest, &rest.plan(), &pose, object.folds, &|| false)?;
+    let posed = PosedMesh::new(&rest, &rest.plan(&|| false)?, &pose, object.folds, &|| {
+        false
+    })?;
     let posed = match region {
         Some(region) => posed.within(region),
         None => posed,

@@ -187,7 +187,7 @@ impl Collector {
         Ok(turn != Turn::Skip)
     }
 
-    /// Counts the columns of a handle of this number of positions, before memory is allocated for
+    /// Counts the columns of a handle with this number of positions, before memory is allocated for
     /// it. Errors: Too many.
     pub(super) fn count(&mut self, at: usize, positions: usize) -> Result<(), Bad> {
         self.columns = self.columns.saturating_add(if positions < 2 {

@@ -262,7 +262,7 @@ impl LandmarkFiles {
     }
 }
 
-/// The problem of what says how landmark files are read, where there are none.
+/// The problem of a field about landmark files in a request without landmark files.
 pub fn without_files(name: &str) -> Problem {
     Problem::new(
         Code::BadValue,

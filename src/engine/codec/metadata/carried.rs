@@ -7,6 +7,7 @@ use super::resolution::{Resolution, ResolutionUnit};
 use super::{Dropped, DroppedKind, KeptChunk, Metadata, PngChunk};
 use crate::codec::ifd::write::{BYTE, DirectoryWriter, UNDEFINED};
 use crate::codec::{Format, Profile};
+use crate::format::TextSupport;
 use crate::pixmap::Extent;
 
 /// The keyword of XMP in a PNG, and what follows it: not compressed, of no language.
@@ -77,35 +78,36 @@ impl Carried {
             resolution,
             colour_only,
         } = self;
-        let is_gif = format == Format::Gif;
-        let lost_profile = source.profile.is_some() && (is_gif || self.profile(grey).is_none());
-        let lost_colour =
-            source.profile_dropped || lost_profile || source.needs_chunks && format != Format::Png;
+        let kept = format.info().metadata;
+        let lost_profile =
+            source.profile.is_some() && (!kept.is_any || self.profile(grey).is_none());
+        let lost_colour = source.profile_dropped
+            || lost_profile
+            || source.needs_chunks && !kept.has_colour_chunks;
         if *colour_only {
             return (lost_colour, Dropped::default());
         }
         let mut dropped = source.dropped;
         dropped.add_if(
-            source.resolution.is_some() && (is_gif || resolution.is_none()),
+            source.resolution.is_some() && (!kept.is_any || resolution.is_none()),
             DroppedKind::Resolution,
         );
         // The frames of an animation have pixels alone.
-        dropped.add_if(is_gif && source.exif.is_some(), DroppedKind::Exif);
-        dropped.add_if(is_gif && source.xmp.is_some(), DroppedKind::Xmp);
+        dropped.add_if(!kept.is_any && source.exif.is_some(), DroppedKind::Exif);
+        dropped.add_if(!kept.is_any && source.xmp.is_some(), DroppedKind::Xmp);
         let has_maker_note = source.exif.as_ref().is_some_and(Exif::has_maker_note);
         dropped.add_if(
-            has_maker_note && format == Format::Tiff,
+            has_maker_note && !kept.has_maker_note,
             DroppedKind::MakerNote,
         );
-        let is_lost = |text: &KeptChunk| match format {
-            Format::Png => false,
-            Format::Jpeg => comment_of(text).is_none(),
-            Format::WebP | Format::Tiff | Format::Gif => true,
+        let is_lost = |text: &KeptChunk| match kept.texts {
+            TextSupport::All => false,
+            TextSupport::Comments => comment_of(text).is_none(),
+            TextSupport::None => true,
         };
         dropped.add_if(source.texts.iter().any(is_lost), DroppedKind::Text);
         dropped.add_if(
-            !source.comments.is_empty()
-                && matches!(format, Format::WebP | Format::Tiff | Format::Gif),
+            !source.comments.is_empty() && kept.texts == TextSupport::None,
             DroppedKind::Comment,
         );
         (lost_colour, dropped)

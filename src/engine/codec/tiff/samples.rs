@@ -314,8 +314,8 @@ impl<'a> TiffFile<'a> {
             }
             if label > MOST_LABEL {
                 return Err(CodecError::unsupported(format!(
-                    "a TIFF with the label {label}; labels are numbers from 0 to 65535. Number \
-                        them anew, for example with \
+                    "a TIFF with the label {label}; labels are numbers from 0 to 65535. Renumber \
+                        them, for example with \
                      skimage.segmentation.relabel_sequential"
                 )));
             }

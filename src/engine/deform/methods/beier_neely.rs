@@ -85,7 +85,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
 fn map(input: &MapInput<'_>) -> Result<BuiltMap, DeformError> {
     let value = |path| input.parameters.get(path).unwrap_or_default();
     let (a, p) = (value(A), value(P));
-    // The power of a ratio of distances is that of moving least squares.
+    // Moving least squares raise ratios of distances to the same power.
     let power = Falloff::new(value(B), false)?;
     let pull = |segment: &RestSegment| pow(segment.length, p);
     let segments = input.sources.segments.clone();

@@ -370,7 +370,8 @@ pub(super) fn reach(piece: &Piece, width: usize) -> (usize, usize) {
     (clip(piece.pixels[0]), clip(piece.pixels[1]))
 }
 
-/// Lattice x of the centres of a column of pixels that vertices can reach.
+/// The x at which the pixels in a column have their centres, in lattice steps; of columns that
+/// vertices can reach.
 #[inline(always)]
 pub(super) fn column(pixel: usize) -> i32 {
     (pixel as i32)
@@ -378,7 +379,7 @@ pub(super) fn column(pixel: usize) -> i32 {
         .wrapping_add(HALF_PX)
 }
 
-/// Lattice y of the centres of a row of pixels.
+/// The y at which the pixels in a row have their centres, in lattice steps.
 #[inline(always)]
 pub(super) fn line(row: u32) -> i32 {
     row_centre(row) as i32

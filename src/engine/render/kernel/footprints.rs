@@ -166,6 +166,9 @@ pub(super) fn footprints(
         cells,
         t,
     );
+    // Most pixels lie in cells that shrink nothing, so they are sorted out first. A pixel is always
+    // written, and counted if it is marked: without a branch, which would be guessed wrongly along
+    // every border of such cells.
     let mut count = 0;
     for (k, cell) in cells[..u.len()].iter().enumerate() {
         pixels[count] = k;
@@ -174,6 +177,8 @@ pub(super) fn footprints(
     if count == 0 {
         return;
     }
+    // Jacobians are known at vertices and mixed in between: constant ones in each cell would show
+    // its edges in a picture that is made smaller.
     for (mixed, k) in mixed.iter_mut().zip(&pixels[..count]) {
         let at = cells[*k] as usize;
         let top: &[[f32; 4]; 2] = grid.jacobians[at..]
@@ -198,6 +203,7 @@ pub(super) fn footprints(
         let limit = grid.limit * grid.limit * det * det;
         several[k] = u32::from((a > limit) | (b > limit));
     }
+    // Those that need one sample after all are dropped in place: `count` never passes k.
     let marked = std::mem::take(&mut count);
     for k in 0..marked {
         (xx[count], yx[count], xy[count], yy[count], pixels[count]) =
@@ -210,6 +216,8 @@ pub(super) fn footprints(
         if across + down == 0 {
             continue;
         }
+        // Where even the most samples would lie too far apart, they are taken from a smaller copy
+        // of the source.
         let reduction = (0..16_u32)
             .find(|r| shapes.distance[n] <= MAX_SAMPLE_DISTANCE_PX * (1_u32 << r) as f32)
             .unwrap_or(16);

@@ -90,7 +90,7 @@ impl Kernel {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
     }
 
-    /// Range of y of each block of cells along a line: the block's vertices and the next one.
+    /// The y that each block along a line reaches: by its vertices and the next one.
     pub(super) fn y_ranges(self, y: &[i32], y_ranges: &mut [YRange]) {
         dispatch!(self, y_ranges(y, y_ranges));
     }

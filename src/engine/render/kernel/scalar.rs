@@ -53,7 +53,7 @@ pub(super) fn snap(
     }
 }
 
-/// Range of y of the vertices of each block of a line and the next vertex.
+/// The y that each block along a line reaches: by its vertices and the next one.
 #[inline(always)]
 pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
     for (b, range) in y_ranges.iter_mut().enumerate() {
@@ -83,7 +83,7 @@ pub(in crate::render) struct CellRow<'a> {
     pub(in crate::render) tolerance: f32,
 }
 
-/// y of the centres of a row of pixels, px.
+/// The y at which the pixels in a row have their centres, px.
 #[inline(always)]
 pub(super) fn centre(row: u32) -> f32 {
     row as f32 + 0.5
@@ -149,7 +149,7 @@ pub(super) fn shrinks(
         // Compared by squares and multiplied by the determinant: no root, no division, and a folded
         // cell, where it is 0, counts as shrinking.
         let limit = least * least * det * det;
-        // A side of the parallelogram of the source that a px of the target shows.
+        // A pixel of the target shows a parallelogram of the source: is a side of it too long?
         *shrinking = u8::from((yy * yy + yx * yx > limit) | (xx * xx + xy * xy > limit));
     }
 }
@@ -163,7 +163,7 @@ const FARTHEST_PX: f32 = 32_768.0;
 pub(in crate::render) const UPRIGHT: u8 = 1;
 /// An upright cell that column crossings draw accurately.
 pub(in crate::render) const SOUND: u8 = 2;
-/// Largest number of rows of cells that a row of pixels may cross between neighbouring columns.
+/// The most rows of cells that a row of pixels may cross between two neighbouring columns.
 const STEEPEST_CROSSING_ROWS: f32 = 4.0;
 
 /// A cell whose chords may cross more cells than its neighbours; [`steepness`] classifies it.
@@ -400,6 +400,8 @@ pub(super) fn crossings(lattice: &SnappedGrid, rows: Range<u32>, x: &mut [f32], 
                 slope_x[c] = (px(xb[c]) - x0[c]) * per_px;
                 slope_v[c] = fall * per_px;
             }
+            // A block reaches rows that only some of its columns cross. The others keep what they
+            // have: the crossing of another row of cells.
             for row in touched {
                 let at = (row - rows.start) as usize * stride + b * BLOCK_COLUMNS;
                 let x: &mut [f32; BLOCK_COLUMNS] =
@@ -409,6 +411,8 @@ pub(super) fn crossings(lattice: &SnappedGrid, rows: Range<u32>, x: &mut [f32], 
                 let centre = centre(row);
                 for c in 0..BLOCK_COLUMNS {
                     let below = centre - y0[c];
+                    // Half open: a centre exactly on a line of vertices belongs to the cells below
+                    // it, so two rows of cells never both claim it.
                     let crosses = (below >= 0.0) & (centre < y1[c]);
                     x[c] = if crosses {
                         x0[c] + below * slope_x[c]

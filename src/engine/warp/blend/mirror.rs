@@ -203,7 +203,7 @@ impl MirrorPairs {
     }
 }
 
-/// Pairs of which each names the other stay; the others are paired anew, the nearest first, unless
+/// Points that name each other stay a pair. The others are paired again, the nearest first, unless
 /// they are far apart. `placed`: the mirror images of `centres`, laid over them.
 fn completed(mut pairs: Vec<usize>, centres: &[Point], placed: &[Point]) -> Vec<usize> {
     let is_mutual = |(handle, pair): (usize, &usize)| pairs[*pair] == handle;

@@ -57,9 +57,16 @@ fn posed(image: &Image, p: &[Handle], q: &[Handle]) -> PosedMesh {
         p: p.to_vec(),
         ..RestSpec::default()
     };
-    let resolved = ResolvedRest::new(&rest, image.extent(), &Limits::default()).unwrap();
+    let resolved = ResolvedRest::new(&rest, image.extent(), &Limits::default(), &|| false).unwrap();
     let pose = resolved.pose(q).unwrap();
-    PosedMesh::new(&resolved, &resolved.plan(), &pose, Folds::Report, &|| false).unwrap()
+    PosedMesh::new(
+        &resolved,
+        &resolved.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
+    .unwrap()
 }
 
 struct Part<'a> {

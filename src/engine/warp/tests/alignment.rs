@@ -116,7 +116,8 @@ fn a_member_of_the_class_is_undone_bit_for_bit() {
                 let (posed, alignment) = rest.posed(q, 1.0, extent());
                 assert_eq!(posed, rest.p, "{align:?} {count} {units:?}");
                 assert_eq!(alignment.unwrap().class, class);
-                let setup = ResolvedRest::new(&rest, extent(), &Limits::default()).unwrap();
+                let setup =
+                    ResolvedRest::new(&rest, extent(), &Limits::default(), &|| false).unwrap();
                 assert!(setup.pose(&posed).unwrap().is_identity());
             }
         }
@@ -331,7 +332,7 @@ fn what_cannot_be_posed_is_not_aligned() {
         let (same, alignment) = rest.posed(q.clone(), 1.0, extent());
         assert_eq!((same, alignment), (q.clone(), None));
         assert!(
-            ResolvedRest::new(&rest, extent(), &Limits::default())
+            ResolvedRest::new(&rest, extent(), &Limits::default(), &|| false)
                 .unwrap()
                 .pose(&q)
                 .is_err()

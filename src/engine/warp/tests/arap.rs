@@ -25,7 +25,7 @@ fn puppet(p: Vec<Handle>, mask: &RestMask, cell: Option<f64>) -> RestSpec {
 
 fn resolve(rest: &RestSpec) -> Result<ResolvedRest, WarpError> {
     let extent = extent(rest.mask.as_ref().unwrap());
-    ResolvedRest::new(rest, extent, &Limits::default())
+    ResolvedRest::new(rest, extent, &Limits::default(), &|| false)
 }
 
 /// f of positions.
@@ -268,8 +268,14 @@ fn what_is_drawn_is_f() {
     let q = points(&[(2.5, 1.5), (22.0, 2.0), (7.0, 11.0), (17.0, 9.0)]);
     let resolved = resolve(&rest).unwrap();
     let pose = resolved.pose(&q).unwrap();
-    let posed =
-        PosedMesh::new(&resolved, &resolved.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let posed = PosedMesh::new(
+        &resolved,
+        &resolved.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
+    .unwrap();
     assert!(
         posed.report().residual < 1e-5,
         "{}",
@@ -303,7 +309,7 @@ fn what_has_no_mesh_is_refused() {
     };
     let extent = extent(&mask);
     assert_eq!(
-        ResolvedRest::new(&no_image, extent, &Limits::default()).unwrap_err(),
+        ResolvedRest::new(&no_image, extent, &Limits::default(), &|| false).unwrap_err(),
         WarpError::Rest(DeformError::NeedsMask { method: "arap" })
     );
     for cell in [2.5, 1.0, 65.0, -3.0] {
@@ -367,7 +373,7 @@ fn hostile_masks_have_a_map_or_are_refused() {
             let pose = resolved
                 .pose(&points(&[(4.5, 0.5), (90.5, 3.5), (0.5, 170.5)]))
                 .unwrap();
-            let plan = resolved.plan();
+            let plan = resolved.plan(&|| false).unwrap();
             let posed = PosedMesh::new(&resolved, &plan, &pose, Folds::Report, &|| false).unwrap();
             let cut = posed.mesh().cut_mesh().unwrap();
             assert!(cut.displacement().iter().flatten().all(|c| c.is_finite()));
@@ -386,7 +392,7 @@ fn a_dragged_hoof_leaves_the_others_nearly_where_they_are() {
     let resolved = resolve(&rest).unwrap();
     assert_eq!(resolved.own_parameters().get("arap/cell"), Some(8.0));
     let pose = resolved.pose(&points(&q)).unwrap();
-    let plan = resolved.plan();
+    let plan = resolved.plan(&|| false).unwrap();
     let posed = PosedMesh::new(&resolved, &plan, &pose, Folds::Report, &|| false).unwrap();
     assert!(
         posed.report().residual < 0.05,
@@ -435,14 +441,13 @@ fn a_mesh_stops_when_nobody_waits_for_it() {
         asked.fetch_add(1, Ordering::Relaxed);
         false
     };
-    ResolvedRest::new_unless(&rest, extent(&mask), &Limits::default(), &count).unwrap();
+    ResolvedRest::new(&rest, extent(&mask), &Limits::default(), &count).unwrap();
     let all = asked.load(Ordering::Relaxed);
     assert!(all > 1000, "{all}");
     for at in (0..all).step_by(all as usize / 40) {
         let asked = AtomicU32::new(0);
         let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= at;
-        let refused =
-            ResolvedRest::new_unless(&rest, extent(&mask), &Limits::default(), &cancelled);
+        let refused = ResolvedRest::new(&rest, extent(&mask), &Limits::default(), &cancelled);
         assert_eq!(refused.unwrap_err(), WarpError::Cancelled, "{at}");
     }
 }

@@ -122,8 +122,8 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         grid: GridSpec::Tolerance(tolerance),
         ..case.rest.clone()
     };
-    let setup = ResolvedRest::new(&rest, extent, &Limits::default()).unwrap();
-    let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
+    let setup = ResolvedRest::new(&rest, extent, &Limits::default(), &|| false).unwrap();
+    let (plan, pose) = (setup.plan(&|| false).unwrap(), setup.pose(&case.q).unwrap());
     let posed = pose_as(&setup, &plan, &pose, Folds::Report, &|| false).unwrap();
     let width = extent.width() as usize;
     let shown = shown(&posed, extent);

@@ -63,6 +63,7 @@ fn resolve(rest: &RestSpec) -> Result<ResolvedRest, WarpError> {
         rest,
         extent(rest.mask.as_ref().unwrap()),
         &Limits::default(),
+        &|| false,
     )
 }
 
@@ -196,7 +197,7 @@ fn a_full_mask_is_the_plane() {
         alpha: Some(2.0),
         ..rest.clone()
     };
-    let plane = ResolvedRest::new(&plane, extent(&full), &Limits::default()).unwrap();
+    let plane = ResolvedRest::new(&plane, extent(&full), &Limits::default(), &|| false).unwrap();
     assert_eq!(resolved.plan_key(), plane.plan_key());
     // Nearly full: one corner is missing, and nothing lies behind it.
     let rows: Vec<String> = (0..30)
@@ -252,7 +253,7 @@ fn what_has_no_distances_inside_the_mask_is_refused() {
         ..rest(&P)
     };
     let extent = extent(&mask);
-    let refused = ResolvedRest::new(&no_mask, extent, &Limits::default());
+    let refused = ResolvedRest::new(&no_mask, extent, &Limits::default(), &|| false);
     assert_eq!(refused.unwrap_err(), WarpError::NoImage);
     let uneven = RestSpec {
         grid: GridSpec::Cell(2.5),
@@ -263,7 +264,7 @@ fn what_has_no_distances_inside_the_mask_is_refused() {
         plan_bytes: 20_000,
         ..Limits::default()
     };
-    let refused = ResolvedRest::new(&rest(&P), extent, &little).unwrap_err();
+    let refused = ResolvedRest::new(&rest(&P), extent, &little, &|| false).unwrap_err();
     assert!(
         matches!(refused, WarpError::Rest(DeformError::MaskTooLarge { .. })),
         "{refused:?}"
@@ -289,7 +290,7 @@ fn a_grid_whose_quads_take_too_much_memory_is_refused() {
     };
     let refused = rest.field_bytes(&limits, &|| false).unwrap_err();
     assert!(is_refused(&refused), "{refused:?}");
-    let refused = ResolvedRest::new(&rest, extent(&mask), &limits).unwrap_err();
+    let refused = ResolvedRest::new(&rest, extent(&mask), &limits, &|| false).unwrap_err();
     assert!(is_refused(&refused), "{refused:?}");
     let stopped = rest.field_bytes(&limits, &|| true);
     assert_eq!(stopped.unwrap_err(), WarpError::Cancelled);
@@ -412,7 +413,7 @@ fn a_dragged_hoof_leaves_the_others_where_they_are() {
     for (name, rest) in [("plane", plane), ("inside", geodesic)] {
         let resolved = resolve(&rest).unwrap();
         let pose = resolved.pose(&q).unwrap();
-        let plan = resolved.plan();
+        let plan = resolved.plan(&|| false).unwrap();
         let posed = PosedMesh::new(&resolved, &plan, &pose, Folds::Report, &|| false).unwrap();
         assert!(posed.report().residual < 0.3, "{}", posed.report().residual);
         let worst = (575..image.extent().height())

@@ -47,11 +47,11 @@ fn everything() -> RestMask {
 
 fn digests(rest: &RestSpec) -> [String; 2] {
     let extent = Extent::new(120, 90).unwrap();
-    let setup = ResolvedRest::new(rest, extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(rest, extent, &Limits::default(), &|| false).unwrap();
     [setup.plan_key(), setup.rest_digest()].map(|digest| digest.to_string()[..16].to_owned())
 }
 
-/// Sets, methods, the first digits of the key of the plan and of the digest of the rest.
+/// Each set and method with the first digits of its plan key and of its rest digest.
 const PINNED: [(&str, Method, &str, &str); 22] = [
     (
         "points",

@@ -134,8 +134,8 @@ fn the_undivided_grid_is_farther_than_the_tolerance() {
 fn kept_rows_do_not_change_a_mesh() {
     let case = random(extent(240, 200), MANY_HANDLES, Method::Rigid, 2.0, 1);
     let posed = |limits: &Limits, warm: bool| {
-        let setup = ResolvedRest::new(&case.rest, case.extent, limits).unwrap();
-        let plan = setup.plan();
+        let setup = ResolvedRest::new(&case.rest, case.extent, limits, &|| false).unwrap();
+        let plan = setup.plan(&|| false).unwrap();
         let pose = |q: &[Handle]| {
             PosedMesh::new(
                 &setup,
@@ -247,9 +247,16 @@ fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted()
         grid: GridSpec::Tolerance(0.05),
         ..case.rest
     };
-    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default(), &|| false).unwrap();
     let pose = setup.pose(&case.q).unwrap();
-    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let posed = PosedMesh::new(
+        &setup,
+        &setup.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
+    .unwrap();
     let drawn: usize = posed
         .mesh()
         .subdivision()
@@ -280,8 +287,8 @@ fn subdivision_that_is_no_longer_wanted_ends_at_the_next_look() {
         grid: GridSpec::Tolerance(1.0),
         ..case.rest
     };
-    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default()).unwrap();
-    let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
+    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default(), &|| false).unwrap();
+    let (plan, pose) = (setup.plan(&|| false).unwrap(), setup.pose(&case.q).unwrap());
     let looks = |plan: &CompiledRest, pose_as: PoseAs, after: usize| {
         let asked = AtomicUsize::new(0);
         let posed = pose_as(&setup, plan, &pose, Folds::Report, &|| {
@@ -297,8 +304,8 @@ fn subdivision_that_is_no_longer_wanted_ends_at_the_next_look() {
     one.install(|| {
         let coarse = looks(&plan, PosedMesh::coarse, usize::MAX);
         // Of a plan that keeps no rows yet, and of one that does.
-        for plan in [&setup.plan(), &plan, &plan] {
-            let all = looks(&setup.plan(), PosedMesh::new, usize::MAX);
+        for plan in [&setup.plan(&|| false).unwrap(), &plan, &plan] {
+            let all = looks(&setup.plan(&|| false).unwrap(), PosedMesh::new, usize::MAX);
             assert!(
                 all > coarse + 100,
                 "{all} looks, {coarse} without refinement"

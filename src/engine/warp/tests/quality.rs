@@ -9,13 +9,24 @@ use crate::warp::{
 };
 
 fn quality_on(case: &Case, canvas: Canvas) -> (Quality, PosedMesh) {
-    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default(), &|| false).unwrap();
     let pose = setup.pose(&case.q).unwrap();
-    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let posed = PosedMesh::new(
+        &setup,
+        &setup.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
+    .unwrap();
     let to_invert = setup.to_invert(&Limits::default()).unwrap();
-    let inverse = PosedMesh::coarse(&to_invert, &to_invert.plan(), &pose, Folds::Report, &|| {
-        false
-    })
+    let inverse = PosedMesh::coarse(
+        &to_invert,
+        &to_invert.plan(&|| false).unwrap(),
+        &pose,
+        Folds::Report,
+        &|| false,
+    )
     .unwrap();
     (
         Quality::of(
@@ -273,9 +284,17 @@ fn conflicts_are_listed_and_work_can_be_cancelled() {
     );
     for kind in [FEW_HANDLES, LINES, MIXED] {
         let case = random(extent(160, 120), kind, Method::Rigid, 2.0, 3);
-        let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
+        let setup =
+            ResolvedRest::new(&case.rest, case.extent, &Limits::default(), &|| false).unwrap();
         let pose = setup.pose(&case.q).unwrap();
-        let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+        let posed = PosedMesh::new(
+            &setup,
+            &setup.plan(&|| false).unwrap(),
+            &pose,
+            Folds::Report,
+            &|| false,
+        )
+        .unwrap();
         assert!(
             Quality::of(
                 &setup,

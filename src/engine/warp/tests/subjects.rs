@@ -44,10 +44,10 @@ fn encoded(shape: PixelLayout, values: &[u8], palette: Option<&Palette>) -> Vec<
 }
 
 fn posed(case: &Case) -> PosedMesh {
-    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default(), &|| false).unwrap();
     PosedMesh::new(
         &setup,
-        &setup.plan(),
+        &setup.plan(&|| false).unwrap(),
         &setup.pose(&case.q).unwrap(),
         Folds::Report,
         &|| false,

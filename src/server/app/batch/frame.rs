@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
 use mlswarp::warp::{
@@ -18,7 +17,7 @@ use super::poses::{FramePose, Rest};
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn};
 use crate::app::drawable::DrawnContent;
-use crate::app::json_text::json_unless;
+use crate::app::json_text::cancellable_json;
 use crate::app::parts::plans::Planned;
 use crate::app::reading::Held;
 use crate::cache::CacheEntry;
@@ -257,7 +256,7 @@ impl BatchJob {
         let has_holes = self.output.holes == Holes::Transparent;
         (!is_opaque || has_holes)
             && self.contents().any(DrawnContent::may_gain_alpha)
-            && self.output.format != Format::Jpeg
+            && self.output.format.info().has_alpha
     }
 
     /// Draws a frame and maps its annotations.
@@ -361,7 +360,7 @@ impl BatchJob {
         let mut reservation = self.reserve(HANDLE_TEXT * q.len() as u64)?;
         let (mut cursor, mut body) = (Cursor::default(), Vec::new());
         if matches!(self.object.poses, BatchPoses::Jitter { .. }) {
-            body = json_unless(cancel, &json!({"q": AsJson(q)}), 0)?;
+            body = cancellable_json(cancel, &json!({"q": AsJson(q)}), 0)?;
             body.pop();
             cursor = Cursor::after_fields();
         }

@@ -10,7 +10,6 @@ mod stream;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
 use mlswarp::warp::{
     CanvasSpec, CoordinateFrame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid,
@@ -99,10 +98,9 @@ pub(crate) async fn of_session(
     let (output, delay, plays) = (object.output, object.delay, object.plays);
     let (record, content, layers, planned) = admit_layers(app, client, record, &names).await?;
     let (planned, grid) = grid_unless_handles(app, client, &record, planned, &object.poses).await?;
-    let format = match form {
-        BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
-        BatchForm::Apng => Format::Png,
-        BatchForm::Gif => Format::Gif,
+    let format = match form.frame_format() {
+        Some(format) => format,
+        None => Formats::ANY.choose(output.format, record.output.format)?,
     };
     let output = OutputSpec {
         format,
@@ -270,7 +268,7 @@ fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
             if object
                 .output
                 .format
-                .is_some_and(|format| format != Format::Png) =>
+                .is_some_and(|format| form.frame_format() != Some(format)) =>
         {
             let why = "`output.format` must be `png`: the frames of an animated PNG are PNG";
             Err(Problem::new(Code::NotAcceptable, why).pointer("/output/format"))

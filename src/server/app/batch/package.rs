@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
-use mlswarp::codec::{Animation, CodecError, GifAnimation};
+use mlswarp::codec::{Animation, CodecError, Format, GifAnimation};
 use zip::result::ZipError;
 use zip::write::{PreparedZipFile, SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, System, ZipWriter};
@@ -40,6 +40,15 @@ impl BatchForm {
             Self::Zip => "application/zip",
             Self::Apng => "image/apng",
             Self::Gif => "image/gif",
+        }
+    }
+
+    /// The format of its pictures; an archive has that of the request.
+    pub(crate) const fn frame_format(self) -> Option<Format> {
+        match self {
+            Self::Zip => None,
+            Self::Apng => Some(Format::Png),
+            Self::Gif => Some(Format::Gif),
         }
     }
 

@@ -21,7 +21,7 @@ use super::App;
 use super::batch::{BatchForm, DEFAULT_DELAY_MS, Package};
 use super::draw::{DrawJob, Drawn};
 use super::drawable::DrawnContent;
-use super::json_text::json_unless;
+use super::json_text::cancellable_json;
 use super::reading::{Held, part};
 use crate::cache::{CacheEntry, CacheKey};
 use crate::client::Client;
@@ -270,7 +270,7 @@ impl BlendJob {
                     + setup.most_halved_bytes(),
             )?;
             let (posed, sum) = threads.run_parallel(|| {
-                let plan = setup.plan_unless(&is_cancelled)?;
+                let plan = setup.plan(&is_cancelled)?;
                 let pose = setup.pose(&q)?;
                 let posed = PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
                 let how = (weight, mirrored_in);
@@ -320,7 +320,7 @@ impl BlendJob {
                 ..self.object.output
             },
             preview: None,
-            force_alpha: self.object.frames > 1 && self.format != Format::Jpeg,
+            force_alpha: self.object.frames > 1 && self.format.info().has_alpha,
             quota,
         })
     }
@@ -343,7 +343,7 @@ impl BlendJob {
         let write = move |cancel: &Cancel| {
             let drawn = app.drawing.draw_file(&job, &|| cancel.is_cancelled())?;
             let object = serde_json::json!({"p": AsJson(&landmarks[..])});
-            let json = json_unless(cancel, &object, 0)?;
+            let json = cancellable_json(cancel, &object, 0)?;
             Ok::<_, Problem>((drawn.first.bytes, json.into()))
         };
         ticket.run(write).await?

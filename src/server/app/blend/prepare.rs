@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use mlswarp::codec::{self, StepCounter};
 use mlswarp::deform::Handle;
-use mlswarp::format::Format;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::Canvas;
 use mlswarp::warp::blend::BlendedShape;
@@ -85,9 +84,7 @@ pub(super) async fn prepare(
         let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
         require_work(&images, target.extent, limits.work)?;
         let format = match form {
-            Some(BatchForm::Apng) => Format::Png,
-            Some(BatchForm::Gif) => Format::Gif,
-            Some(BatchForm::Zip) => object.output.format,
+            Some(form) => form.frame_format().unwrap_or(object.output.format),
             None => formats.choose(Some(object.output.format), object.output.format)?,
         };
         Ok::<_, Problem>(BlendJob {

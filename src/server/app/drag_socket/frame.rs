@@ -214,7 +214,7 @@ async fn picture_frame(
         format,
         ..
     } = drawn;
-    let quality = (format == Format::Jpeg).then_some(output.quality);
+    let quality = format.info().has_quality.then_some(output.quality);
     let (pieces, cost) = collect(first, rest).await?;
     let file = (format.media_type().trim_start_matches("image/"), quality);
     let picture = PictureFrame::of_target(target, record.extent, record.rest.units);

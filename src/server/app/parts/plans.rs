@@ -77,7 +77,7 @@ impl Plans {
         let rest = with_mask.as_ref().unwrap_or(rest);
         let bytes = rest.field_bytes(&self.limits, &is_cancelled)?;
         self.admission.reserve_more(&mut held, bytes.peak)?;
-        let new = || ResolvedRest::new_unless(rest, extent, &self.limits, &is_cancelled);
+        let new = || ResolvedRest::new(rest, extent, &self.limits, &is_cancelled);
         let setup = if with_mask.is_some() {
             // Distances inside the mask are computed for many handles at once.
             self.admission.pool.run_parallel(new)?
@@ -159,7 +159,7 @@ impl Plans {
                 .await?;
             let threads = admission.pool.clone();
             let fill = move |cancel: &Cancel| {
-                threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()))
+                threads.run_parallel(|| build_setup.plan(&|| cancel.is_cancelled()))
             };
             let plan = ticket.run(fill).await??;
             tracing::debug!("a plan was built");

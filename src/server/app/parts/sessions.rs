@@ -284,7 +284,7 @@ impl Sessions {
             .admission
             .reserve(MemoryClass::Plan, length + 256 * columns(record))?;
         let new = || {
-            RestSummary::new_unless(&record.rest, record.extent, &self.limits, &|| {
+            RestSummary::new(&record.rest, record.extent, &self.limits, &|| {
                 cancel.is_cancelled()
             })
         };

@@ -77,7 +77,7 @@ impl Reloader {
         }
     }
 
-    /// The files of keys and of the secrets of tokens.
+    /// The files with keys, and with the secrets that sign tokens.
     fn secret_files(&self) -> impl Iterator<Item = &PathBuf> {
         let keys = self.keys.iter().filter_map(|keys| keys.file.as_ref());
         keys.chain(self.secrets.iter().map(|secrets| &secrets.file))

@@ -162,8 +162,8 @@ impl<W> FairQueue<W> {
         };
         let of_payer = |tenant: &Tenant| waiting(&self.payers, tenant.payer());
         let own = |tenant: &Tenant| waiting(&self.usage, *tenant);
-        // Whoever fills the queue gives up a place for those who have few in it; with one request
-        // more than the newcomer there is nothing to level.
+        // The client with the most requests in the queue gives up a place to one that has few. If
+        // it has only one more than the newcomer, the exchange would gain nothing.
         let most = self.order.iter().map(of_payer).max().unwrap_or(0);
         if most > of_payer(&key.tenant) + 1 {
             // Among equals, the client that got a permit last.

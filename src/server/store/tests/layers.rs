@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use mlswarp::warp::Digest;
 
-use super::suite::{IDLE, file, files, made_anew, named, record, with_layer, with_weights};
+use super::suite::{IDLE, file, files, made_again, named, record, with_layer, with_weights};
 use crate::session::Revision;
 use crate::store::{Put, Record, Store, StoreError};
 
@@ -126,7 +126,7 @@ pub(super) async fn the_same_put_keeps_layers_and_another_drops_them(store: &imp
         panic!("the same picture and handles")
     };
     assert!(same.record == b && is_there(store, &a, 2).await);
-    let Ok(Put::Replaced(session, old)) = store.put(made_anew(&a, 3), files(3)).await else {
+    let Ok(Put::Replaced(session, old)) = store.put(made_again(&a, 3), files(3)).await else {
         panic!("another picture")
     };
     assert!(
@@ -140,7 +140,7 @@ pub(super) async fn the_same_put_keeps_layers_and_another_drops_them(store: &imp
         let region = Digest::of(&file(n));
         Arc::new(Record {
             made_with_region: Some(region),
-            ..(*with_layer(&made_anew(&a, 3), "region", Some(n))).clone()
+            ..(*with_layer(&made_again(&a, 3), "region", Some(n))).clone()
         })
     };
     let with_mask = |n: u8| [files(3), files(n)].concat();
@@ -159,7 +159,7 @@ pub(super) async fn the_same_put_keeps_layers_and_another_drops_them(store: &imp
     ));
     assert!(is_there(store, &a, 3).await && !is_there(store, &a, 4).await);
     assert!(matches!(
-        store.put(made_anew(&a, 3), files(3)).await,
+        store.put(made_again(&a, 3), files(3)).await,
         Ok(Put::Replaced(..))
     ));
     assert!(is_there(store, &a, 3).await);

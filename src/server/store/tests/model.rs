@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use mlswarp::warp::Digest;
 
-use super::suite::{file, files, made_anew, record, with_layer, with_weights};
+use super::suite::{file, files, made_again, record, with_layer, with_weights};
 use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, Store, StoreError, StoreLimits};
 
@@ -140,14 +140,15 @@ impl Live {
     }
 }
 
-/// So many random steps over stores that are one: `open` opens all of them (again),
-/// and `lives_anew` says that their sessions live for another idle period after that.
+/// Does `steps` random steps over stores that share their sessions. `open` opens all of them
+/// (again), and `restarts_idle_time` says that their sessions live for another idle period after
+/// that.
 pub(crate) async fn follows<S: Store>(
     mut open: impl AsyncFnMut(Option<Vec<S>>) -> Vec<S>,
     seed: u64,
     steps: usize,
     is_bounded: bool,
-    lives_anew: bool,
+    restarts_idle_time: bool,
 ) {
     let mut dice = Dice(seed);
     let mut stores = open(None).await;
@@ -165,7 +166,7 @@ pub(crate) async fn follows<S: Store>(
         match dice_op {
             0..=4 => {
                 let picture = dice.picture(4);
-                let base = made_anew(&ids[k], picture);
+                let base = made_again(&ids[k], picture);
                 let new = if dice.below(2) == 0 {
                     base
                 } else {
@@ -392,11 +393,11 @@ pub(crate) async fn follows<S: Store>(
                 stores = open(Some(stores)).await;
                 *seen.entry("opened").or_default() += 1;
                 for (j, known) in all.iter_mut().enumerate() {
-                    known.forgets |= lives_anew;
+                    known.forgets |= restarts_idle_time;
                     let found = stores[0].peek(ids[j].id).await;
                     // After the answer: it may have ended while it was asked for.
                     let truth = known.lives(Moment(began, Instant::now()));
-                    if lives_anew && found.is_ok() && known.live.is_none() && !known.swept {
+                    if restarts_idle_time && found.is_ok() && known.live.is_none() && !known.swept {
                         // Who had expired and was not swept has another life.
                         known.live = known.dead.take();
                         *seen.entry("risen").or_default() += 1;
@@ -408,7 +409,7 @@ pub(crate) async fn follows<S: Store>(
                                 .as_mut()
                                 .unwrap_or_else(|| panic!("{what}: came back"));
                             live.is(&session, &what);
-                            if lives_anew {
+                            if restarts_idle_time {
                                 live.used = Moment(again, Instant::now());
                             }
                         }
@@ -454,7 +455,7 @@ pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(
                     }
                     (0..=1, _) => {
                         let picture = dice.picture(2);
-                        let new = made_anew(held, picture);
+                        let new = made_again(held, picture);
                         let (Put::Created(session)
                         | Put::Same(session)
                         | Put::Replaced(session, _)) =

@@ -93,7 +93,7 @@ pub(crate) fn with_layer(record: &Record, name: &str, picture: Option<u8>) -> Ar
 }
 
 /// The same session, made again from another picture.
-pub(crate) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
+pub(crate) fn made_again(record: &Record, picture: u8) -> Arc<Record> {
     let (image, layers) = (Digest::of(&file(picture)), BTreeMap::new());
     Arc::new(Record {
         revision: Revision::random(),
@@ -109,7 +109,7 @@ pub(crate) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
 pub(crate) async fn all<S: Store>(open: impl AsyncFn(StoreLimits) -> S) {
     what_was_put_is_there_to_the_bit(&open(bounds()).await).await;
     a_file_goes_with_its_last_session(&open(bounds()).await).await;
-    a_put_makes_a_session_once_and_makes_it_anew_from_something_else(&open(bounds()).await).await;
+    a_put_makes_a_session_once_and_replaces_another(&open(bounds()).await).await;
     handles_are_revised_once_a_revision_and_numbers_go_on(&open(bounds()).await).await;
     the_highest_seq_is_remembered(&open(bounds()).await).await;
     one_name_of_two_owners_is_two_sessions(&open(bounds()).await).await;
@@ -222,7 +222,7 @@ async fn a_file_goes_with_its_last_session(store: &impl Store) {
     );
 }
 
-async fn a_put_makes_a_session_once_and_makes_it_anew_from_something_else(store: &impl Store) {
+async fn a_put_makes_a_session_once_and_replaces_another(store: &impl Store) {
     let a = record(3);
     assert!(matches!(
         store.put(Arc::clone(&a), files(3)).await,
@@ -239,7 +239,7 @@ async fn a_put_makes_a_session_once_and_makes_it_anew_from_something_else(store:
     };
     assert_eq!((same.record.revision, same.seq), (a.revision, Some(7)));
 
-    let other = made_anew(&a, 4);
+    let other = made_again(&a, 4);
     let Ok(Put::Replaced(session, old)) = store.put(Arc::clone(&other), files(4)).await else {
         panic!("another file")
     };
@@ -253,7 +253,7 @@ async fn a_put_makes_a_session_once_and_makes_it_anew_from_something_else(store:
     assert_eq!(
         store.touch(a.id, Some(0)).await.unwrap().seq,
         Some(0),
-        "numbers start anew"
+        "numbers start from the beginning"
     );
 }
 
@@ -317,7 +317,7 @@ async fn one_name_of_two_owners_is_two_sessions(store: &impl Store) {
     let theirs = SessionId::parse(Owner::from_bytes([7; 16]), &a.id.to_string()).unwrap();
     let b = Arc::new(Record {
         id: theirs,
-        ..(*made_anew(&a, 9)).clone()
+        ..(*made_again(&a, 9)).clone()
     });
     store.put(Arc::clone(&a), files(8)).await.unwrap();
     for absent in [store.peek(theirs).await, store.touch(theirs, None).await] {
@@ -374,7 +374,7 @@ async fn a_session_expires_is_told_so_for_one_period_and_is_then_forgotten(store
     );
     // A name may be used again.
     assert!(matches!(
-        store.put(made_anew(&a, 11), files(11)).await,
+        store.put(made_again(&a, 11), files(11)).await,
         Ok(Put::Created(_))
     ));
 }
@@ -399,7 +399,7 @@ async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
     );
     assert_eq!(store.was_deleted(record(20).id).await, Ok(false));
     // A name that is used again is another session, which can be deleted like the first.
-    let new = made_anew(&a, 21);
+    let new = made_again(&a, 21);
     assert!(matches!(
         store.put(Arc::clone(&new), files(21)).await,
         Ok(Put::Created(_))
@@ -472,15 +472,15 @@ pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(
             store.touch(record.id, None).await.unwrap_err(),
             StoreError::OtherVersion
         );
-        let anew = made_anew(record, picture);
+        let again = made_again(record, picture);
         assert_eq!(
-            store.put(anew, files(picture)).await.unwrap_err(),
+            store.put(again, files(picture)).await.unwrap_err(),
             StoreError::OtherVersion,
             "the same"
         );
         assert_eq!(
             store
-                .put(made_anew(record, 33), files(33))
+                .put(made_again(record, 33), files(33))
                 .await
                 .unwrap_err(),
             StoreError::OtherVersion,
@@ -627,7 +627,7 @@ async fn a_replaced_session_weighs_what_the_new_one_does(store: &impl Store) {
     let short = Bytes::from_static(b"300");
     let other = Arc::new(Record {
         image: Digest::of(&short),
-        ..(*made_anew(&a, 2)).clone()
+        ..(*made_again(&a, 2)).clone()
     });
     store.put(other, named(short)).await.unwrap();
     assert_eq!(store.figures().bytes, one - 997);

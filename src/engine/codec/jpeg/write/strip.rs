@@ -43,8 +43,8 @@ impl Components {
         }
     }
 
-    /// The quantiser of each plane of blocks that a group of pixels has: luminance, or the three
-    /// components, or luminance above and below and both kinds of chrominance.
+    /// The quantiser of each plane. A group of pixels has one plane of luminance, or one for each
+    /// component, or luminance above and below and both kinds of chrominance.
     const fn quantisers(self) -> &'static [usize] {
         match self {
             Self::Grey => &[0],
@@ -62,7 +62,7 @@ impl Components {
         }
     }
 
-    /// The blocks of a group of pixels in the order of a file.
+    /// The blocks that a group of pixels has, in the order in which a file stores them.
     fn order(self, lanes: usize) -> Vec<BlockPlace> {
         let macroblocks = lanes / self.side();
         let coded = |(plane, block, component): (usize, usize, usize)| BlockPlace {

@@ -118,13 +118,7 @@ impl PngWriter {
     /// If a row is longer than 1 GiB.
     #[must_use]
     pub fn new(shape: PixelLayout, compression: Compression, metadata: Option<&Carried>) -> Self {
-        Self {
-            compression,
-            level: SimdLevel::detect(),
-            bpp: layout::pixel_bytes(shape),
-            layout: Layout::new(shape, compression),
-            head: chunk::head(shape, metadata, None).into(),
-        }
+        Self::of_labels(shape, compression, None, metadata)
     }
 
     /// A writer for a label image; one sample per pixel if there is a palette.
@@ -139,8 +133,11 @@ impl PngWriter {
         metadata: Option<&Carried>,
     ) -> Self {
         Self {
+            compression,
+            level: SimdLevel::detect(),
+            bpp: layout::pixel_bytes(shape),
+            layout: Layout::new(shape, compression),
             head: chunk::head(shape, metadata, palette).into(),
-            ..Self::new(shape, compression, None)
         }
     }
 

@@ -104,6 +104,7 @@ impl<'a> Divider<'a> {
         let mut coordinates: Vec<u32> = along(axis).collect();
         let middle = coordinates.len() / 2;
         let median = *coordinates.select_nth_unstable(middle).1;
+        // At least one line of vertices stays below, or the upper half would be the whole set.
         let line = median.max(least + 1);
         let (lower, upper): (Vec<u32>, Vec<u32>) = set
             .iter()
@@ -148,6 +149,7 @@ impl Dissection {
             match step {
                 Step::Divide(set) => match divider.divide(&set) {
                     Some([lower, upper, between]) => {
+                        // A stack: the halves are taken off, and done, before what is between them.
                         steps.push(Step::Eliminate(between, true));
                         steps.push(Step::Divide(upper));
                         steps.push(Step::Divide(lower));

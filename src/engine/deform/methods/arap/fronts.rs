@@ -148,6 +148,8 @@ impl<E: MatrixEntry> Factor<E> {
                     }
                 }
             }
+            // What the halves have left over for the vertices that both reach is added here: so
+            // each front is dense and small, and no sparse matrix is ever stored.
             for child in front.children.into_iter().flatten() {
                 let update = std::mem::take(&mut updates[child]);
                 let rows = &order.reached[order.fronts[child].reached.clone()];

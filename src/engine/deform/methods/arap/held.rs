@@ -78,6 +78,8 @@ pub(super) fn held_positions(
         let order = part(a).cmp(&part(b)).then(a.at.x.total_cmp(&b.at.x));
         order.then(a.at.y.total_cmp(&b.at.y))
     });
+    // Where polylines meet, both hold the corner. Held twice, its forces could not be told apart,
+    // and the system of the anchors would be singular.
     let within = coincidence_distance(input.set.extent);
     let mut merged: Vec<Held> = Vec::with_capacity(all.len());
     for held in all {

@@ -31,12 +31,14 @@ pub(super) fn moved_parts(
 ) -> Result<(Vec<MovedPart>, Vec<Warning>), DeformError> {
     let lattice = mesh.lattice();
     let part = |held: &Held| lattice.quads()[held.quad].part;
+    // Parts share no vertex, so each has its own equations, and one without a handle has none.
     let mut quads_of = vec![Vec::new(); lattice.parts() as usize];
     for (k, quad) in lattice.quads().iter().enumerate() {
         quads_of[quad.part as usize].push(k);
     }
     let mut local = vec![u32::MAX; lattice.vertices().len()];
     let (mut parts, mut warnings, mut cost) = (Vec::new(), Vec::new(), PartCost::default());
+    // What is held is in the order of the parts.
     for held in held.chunk_by(|a, b| part(a) == part(b)) {
         let mut vertices = Vec::new();
         let mut quads = Vec::new();
@@ -52,6 +54,7 @@ pub(super) fn moved_parts(
             quads.push((corners.map(|corner| local[corner as usize]), 0));
         }
         let targets = held.iter().map(|held| held.columns.clone()).collect();
+        // One position says nothing about a rotation: the second energy would be singular.
         let rigid = if held.len() < 2 {
             warnings.push(Warning::TranslationOnly);
             None
@@ -74,6 +77,8 @@ pub(super) fn moved_parts(
                 quads,
                 positions: positions.collect(),
             };
+            // The order of elimination says what the factors will take, before any memory is taken
+            // for them: a cell that many pieces share makes them far larger than the area does.
             let cancelled = DeformError::Cancelled;
             let ordered = OrderedPart::new(mesh, anchors.collect(), input.cancelled);
             let ordered = ordered.ok_or(cancelled.clone())?;

@@ -187,6 +187,9 @@ impl<E: MatrixEntry> HeldEnergy<E> {
     ) -> Option<Self> {
         let diagonal = |k: usize| (0..4).map(|i| block(k)[i][i].re()).sum::<f64>();
         let weight = (0..quads).map(diagonal).sum::<f64>() / vertices as f64;
+        // Without handles the energy leaves a motion of the whole free, so its matrix is singular.
+        // `w B^H B` makes it definite before anything is divided (mathematics 10.6), and adds each
+        // anchor as one more element of four corners.
         let element = |k: usize| {
             let Some(anchor) = k.checked_sub(quads) else {
                 return block(k);
@@ -227,6 +230,8 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         }
         let mean = (0..count).map(|k| square[k * count + k].re()).sum::<f64>() / count as f64;
         held.compliance.0.clone_from(&square);
+        // S depends on the anchors alone and is small. A pivot next to nothing says that an anchor
+        // follows from others, as the fifth in one quad does; then they are held less strictly.
         let pivots = &mut held.compliance.1;
         eliminate(&mut held.compliance.0, count, count, pivots, cancelled)?;
         if pivots
@@ -255,6 +260,8 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         u: &mut [Vec2],
         space: &mut PoseSpace,
     ) {
+        // The forces that move the anchors where they belong: S = L D L^H, forwards, by the
+        // diagonal, backwards.
         let (dense, pivots) = &self.compliance;
         let n = by.len();
         for j in 0..n {
@@ -270,6 +277,8 @@ impl<E: MatrixEntry> HeldEnergy<E> {
                 by[j] = by[j] - dense[j * n + i].conj().act(by[i]);
             }
         }
+        // Then the vertices that these forces move: by sums over what is kept for each anchor, or
+        // by one more solution if there are too many to keep.
         match &self.response {
             Some(response) => {
                 for (response, force) in response.chunks_exact(u.len()).zip(by) {

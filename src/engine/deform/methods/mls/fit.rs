@@ -20,6 +20,7 @@ pub(in crate::deform) fn fit<const N: usize>(
     rows: &mut Coefficients<N>,
 ) {
     let (e, per_mu) = centre(at_v, scratch);
+    // Affine maps divide by the matrix S, the others by the number mu (mathematics 2.2).
     if form == CoefficientForm::Real {
         return affine(sources, &e, &per_mu, scratch, rows);
     }
@@ -45,6 +46,9 @@ pub(in crate::deform) fn fit<const N: usize>(
             y: ty,
             ..
         } = span;
+        // The two ends share the mass as 1 - t and t: `ga` and `gb` of mathematics 3.1. Here the
+        // moments are about the position nearest to v, so each is a mass there, and a first moment
+        // along the segment.
         for (column, [mass, along]) in [(*column, span.of_a()), (column + 1, span.of_b())] {
             let (mut gx, mut gy) = ([0.0; N], [0.0; N]);
             for k in 0..N {
@@ -54,6 +58,7 @@ pub(in crate::deform) fn fit<const N: usize>(
             turn.put(&gx, &gy, &mass, &mut rows.h[column], &mut rows.wn[column]);
         }
     }
+    // A pose multiplies e by a rotation in the axes of the picture, so e is turned back too.
     let ([ex, ey], [tx, ty]) = (&e, tau);
     for k in 0..N {
         rows.e[0][k] = ex[k] * tx[k] - ey[k] * ty[k];
@@ -110,6 +115,8 @@ fn centre<const N: usize>(
             py[k] += y[k] * w[k];
         }
     }
+    // The place of a segment is its position nearest to v; its first moment moves the centre of its
+    // mass from there along its direction.
     for SegmentMoments { first, x, y, .. } in &scratch.spans {
         for k in 0..N {
             px[k] += x[k] * first[k];
@@ -123,6 +130,9 @@ fn centre<const N: usize>(
         py[k] *= total[k];
         (e[0][k], e[1][k]) = (at_v[0][k] - px[k], at_v[1][k] - py[k]);
     }
+    // mu is summed from what remains after p* is subtracted, not as the difference of two moments:
+    // beside a handle everything else weighs next to nothing, and the difference would have no
+    // digit left.
     for PointMass { x, y, w } in scratch
         .places
         .iter_mut()
@@ -176,6 +186,8 @@ fn affine<const N: usize>(
     scratch: &CoefficientScratch<N>,
     rows: &mut Coefficients<N>,
 ) {
+    // The pivot a is along the frame's axis, which passes through the position with the largest
+    // moment, or along the line that v is beside: it is not the small one of the two.
     let (mut a, mut b, mut c) = ([0.0; N], [0.0; N], [0.0; N]);
     for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
@@ -203,6 +215,8 @@ fn affine<const N: usize>(
     for k in 0..N {
         r[k] = b[k] / a[k];
     }
+    // Elimination would have c as a difference, `sum g y^2 - b^2/a`. The squares of what is left
+    // across the axis add up to the same without cancelling.
     for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
             let y = y[k] - r[k] * x[k];
@@ -223,6 +237,7 @@ fn affine<const N: usize>(
             c[k] += (2.0 * first[k] * y * ty + second[k] * ty * ty) * per_mu[k];
         }
     }
+    // The solution is applied to e, once for a vertex, instead of to each control.
     let (mut ex, mut ey) = ([0.0; N], [0.0; N]);
     for k in 0..N {
         ey[k] = (e[1][k] - r[k] * e[0][k]) / c[k] * per_mu[k];

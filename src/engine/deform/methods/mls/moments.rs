@@ -35,15 +35,16 @@ const NODES: [f64; TILE_NODES] = [
     0.831_469_612_302_545_2,
     0.980_785_280_403_230_4,
 ];
-/// A point is far from a tile at this many halves of its side, at alpha 1 or less, and at so many
-/// more for each 1 of alpha beyond: then its weight is within 1e-5 of itself (mathematics 7.4).
+/// A point is far from a tile if their distance is at least this many times half the tile's side.
+/// That holds for alpha up to 1; beyond it, each 1 of alpha adds [`FAR_PER_ALPHA`]. Then its weight
+/// is within 1e-5 of itself (mathematics 7.4).
 const FAR_AT_ALPHA_1: f64 = 3.5;
 const FAR_PER_ALPHA: f64 = 1.5;
 /// Above this alpha all weights are summed: those of distant points hardly count in any case.
 const MOST_TILED: f64 = 2.0;
 /// The side of the smallest tile, px.
 const SMALLEST_TILE: f64 = 4.0;
-/// A tile with at most so many points nearby is not divided: its nodes take longer.
+/// A tile with at most this number of points nearby is not divided: its nodes would take longer.
 const MOST_NEAR: usize = 40;
 /// Affine: the least determinant of the second moments, as a share of the product of both.
 const SINGULAR_DETERMINANT_SHARE: f64 = 1e-14;
@@ -101,11 +102,14 @@ impl<'a> MomentInputs<'a> {
         let sum = points
             .iter()
             .fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
+        // Sums are taken about the middle of the points and beyond the first displacement: handles
+        // far from the origin of the picture, or moved together, lose no digits (mathematics 7.3).
         let (origin, shift) = (points[0].p + sum * (1.0 / points.len() as f64), d[0]);
         let alpha = falloff.alpha();
         let rules = TileRules {
             nodes: NODES,
             far: FAR_AT_ALPHA_1 + FAR_PER_ALPHA * (alpha - 1.0).max(0.0),
+            // Above `MOST_TILED` nothing counts as far, and one tile has all points nearby.
             smallest: if Self::are_tiled(falloff) {
                 SMALLEST_TILE
             } else {
@@ -192,6 +196,7 @@ impl<'a> MomentInputs<'a> {
     #[inline(always)]
     fn anchor_again(&self, again: &[usize], places: &[Point], out: &mut [[f32; 3]]) {
         let (mut x, mut y) = ([0.0; ANCHORED_VERTICES], [0.0; ANCHORED_VERTICES]);
+        // Lanes beyond the last place repeat it, so that no lane has to be left out.
         for k in 0..ANCHORED_VERTICES {
             let place = places[again[k.min(again.len() - 1)]];
             (x[k], y[k]) = (place.x, place.y);
@@ -255,6 +260,8 @@ impl<'a> MomentInputs<'a> {
         let mut sums = [[0.0; ANCHORED_VERTICES]; AFFINE_SUMS];
         for (PointSource { p, mass, .. }, d) in self.points.iter().zip(self.d) {
             let mut w = squared_distances(*p, x, y);
+            // The ratio before the power (mathematics 7.1, step 2). The anchor itself gets exactly
+            // 1, and its position and displacement are 0: it adds nothing that could cancel.
             for (w, r2) in w.iter_mut().zip(&anchor.r2) {
                 *w = r2 / *w;
             }
@@ -485,7 +492,7 @@ mod tests {
         }
     }
 
-    /// Whoever asks, in whatever order, with however many threads.
+    /// The bits depend neither on the order of the positions nor on the number of threads.
     #[test]
     fn a_position_has_its_own_bits() {
         let (field, pose) = set(Method::Rigid, 1.0, 300, 5);

@@ -176,7 +176,7 @@ impl Spline {
         Self::in_frame(frame, sites, line, smoothing, cancelled)
     }
 
-    /// The spline of some of the sites of another one, with its unit.
+    /// A spline with some sites of another one, in the same unit.
     pub(super) fn of_part(
         &self,
         sites: Sites,

@@ -38,7 +38,7 @@ const LARGEST_HALF: f64 = 1.0;
 const MOST_OFF: f64 = 4e-3;
 /// The side of the smallest tile, px.
 const SMALLEST_TILE: f64 = 4.0;
-/// A tile with at most so many sites nearby is not divided: its nodes take longer.
+/// A tile with at most this number of sites nearby is not divided: its nodes would take longer.
 const MOST_NEAR: usize = 100;
 
 /// `U(r) = r^2 ln r^2`.

@@ -1,7 +1,9 @@
 use std::path::PathBuf;
 
 use super::*;
-use crate::store::tests::suite::{bounds, file, files, made_anew, named, with_layer, with_weights};
+use crate::store::tests::suite::{
+    bounds, file, files, made_again, named, with_layer, with_weights,
+};
 use crate::store::tests::{model, suite};
 
 mod power;
@@ -116,7 +118,7 @@ async fn sessions_are_there_after_the_store_was_opened_again() {
         "the deleted picture's file has gone"
     );
     // A session that is made again has numbers from the beginning, also on the disk.
-    store.put(made_anew(&a, 3), files(3)).await.unwrap();
+    store.put(made_again(&a, 3), files(3)).await.unwrap();
     drop(store);
     assert_eq!(place.open().peek(a.id).await.unwrap().seq, None);
 }

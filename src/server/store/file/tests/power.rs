@@ -151,7 +151,7 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
                 layers += 1;
             }
             (2, Some(record)) => {
-                let new = made_anew(&record, k);
+                let new = made_again(&record, k);
                 store.put(Arc::clone(&new), files(k)).await.unwrap();
                 now.insert(new.id, new);
             }

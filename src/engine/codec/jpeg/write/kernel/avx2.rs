@@ -40,7 +40,7 @@ fn code(
 struct Avx2Lanes(__m256i);
 
 impl Avx2Lanes {
-    /// Samples of a channel of pixels of three bytes, times 257.
+    /// The samples of one channel, times 257; a pixel has three bytes.
     #[inline(always)]
     unsafe fn third<const CHANNEL: usize>(first: __m256i, last: __m256i) -> Self {
         // SAFETY: as for `I16Lanes`.

@@ -6,17 +6,22 @@
 //! have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of
 //! range, not a syntax error.
 
+mod scan;
+#[cfg(test)]
+mod tests;
+
 use std::borrow::Cow;
 use std::fmt;
-use std::ops::Range;
 
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use super::work::{BYTES_PER_CHECK, Work};
+use super::work::Work;
 use super::{fields, shape, suggest, syntax};
 use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
+use scan::next;
+pub(crate) use scan::next_value;
 
 /// Members of an object of another kind that are looked at.
 const MOST_MEMBERS: usize = 64;
@@ -460,171 +465,4 @@ fn is_unreadable(name: &str) -> bool {
 /// A name as one step of a pointer (RFC 6901, section 3).
 fn step(name: &str) -> String {
     name.replace('~', "~0").replace('/', "~1")
-}
-
-/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its
-/// end, or when the work is cancelled.
-fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
-    let range = value_from(rest.as_bytes(), 0, work)?;
-    let (value, after) = (rest.get(range.clone())?, rest.get(range.end..)?);
-    *rest = after;
-    Some(value)
-}
-
-/// Where the next value or field name is in the inside of a well-formed array or object, from a
-/// byte between two of them on; `None` at its end.
-pub(crate) fn next_value(text: &[u8], from: usize) -> Option<Range<usize>> {
-    value_from(text, from, None)
-}
-
-fn value_from(text: &[u8], from: usize, work: Option<&Work<'_>>) -> Option<Range<usize>> {
-    let bytes = text.get(from..)?;
-    let is_between = |b: &u8| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':');
-    let start = match work {
-        Some(work) => work.find(bytes, |b| !is_between(&b)),
-        None => bytes.iter().take_while(|b| is_between(b)).count(),
-    };
-    if matches!(bytes[start..], [] | [b']' | b'}', ..]) {
-        return None;
-    }
-    let length = length(&bytes[start..], work);
-    let is_whole = length > 0 && !work.is_some_and(Work::is_stopped);
-    is_whole.then_some(from + start..from + start + length)
-}
-
-/// The length of the value at the start of a well-formed text; wrong once the work is cancelled.
-fn length(text: &[u8], work: Option<&Work<'_>>) -> usize {
-    let mut value = Scan::default();
-    let Some(work) = work else {
-        return value.end(text).unwrap_or(text.len());
-    };
-    let mut before = 0;
-    for piece in text.chunks(BYTES_PER_CHECK) {
-        let end = value.end(piece);
-        before += end.unwrap_or(piece.len());
-        if !work.add(end.unwrap_or(piece.len())) || end.is_some() {
-            break;
-        }
-    }
-    before
-}
-
-/// What is known of a value after some pieces of its text.
-#[derive(Default)]
-struct Scan {
-    depth: usize,
-    is_in_string: bool,
-    is_escaped: bool,
-}
-
-impl Scan {
-    /// The bytes of the next piece that belong to the value, if it ends there.
-    fn end(&mut self, piece: &[u8]) -> Option<usize> {
-        for (at, byte) in piece.iter().enumerate() {
-            match byte {
-                _ if self.is_escaped => self.is_escaped = false,
-                b'"' => {
-                    self.is_in_string = !self.is_in_string;
-                    if !self.is_in_string && self.depth == 0 {
-                        return Some(at + 1);
-                    }
-                }
-                b'\\' => self.is_escaped = self.is_in_string,
-                _ if self.is_in_string => {}
-                b'[' | b'{' => self.depth += 1,
-                // The end of a number, `true`, `false` or `null`.
-                b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if self.depth == 0 => {
-                    return Some(at);
-                }
-                b']' | b'}' => {
-                    self.depth -= 1;
-                    if self.depth == 0 {
-                        return Some(at + 1);
-                    }
-                }
-                _ => {}
-            }
-        }
-        None
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-    use serde_json::Value;
-
-    use super::*;
-
-    fn texts(array: &str) -> Vec<String> {
-        let body = format!("{{\"a\": {array}}}");
-        let root = root(body.as_bytes()).unwrap();
-        let [a] = root.fields(&["a"]).unwrap();
-        let mut texts = Vec::new();
-        a.unwrap()
-            .items::<Problem>("an array", |index, item| {
-                assert_eq!(item.at.to_string(), format!("/a/{index}"));
-                texts.push(item.text.to_owned());
-                Ok(())
-            })
-            .unwrap();
-        texts
-    }
-
-    #[test]
-    fn items_are_found_between_spaces_strings_and_brackets() {
-        assert_eq!(texts("[]"), [""; 0]);
-        assert_eq!(texts("[ \n\t\r ]"), [""; 0]);
-        assert_eq!(texts("[1]"), ["1"]);
-        assert_eq!(
-            texts("[ -1.5e+3 ,\r\n\ttrue , null]"),
-            ["-1.5e+3", "true", "null"]
-        );
-        assert_eq!(texts("[[],{},\"\"]"), ["[]", "{}", "\"\""]);
-        assert_eq!(
-            texts("[[ 1 , [2] ] , {\"b\": [3, {}]} ]"),
-            ["[ 1 , [2] ]", "{\"b\": [3, {}]}"]
-        );
-        assert_eq!(
-            texts(r#"["]", "\"", "\\", "[\\\",", [",]"], {"}": "{"}]"#),
-            [
-                r#""]""#,
-                r#""\"""#,
-                r#""\\""#,
-                r#""[\\\",""#,
-                r#"[",]"]"#,
-                r#"{"}": "{"}"#
-            ]
-        );
-        assert_eq!(texts("[\"\u{e9}]\", 2]"), ["\"\u{e9}]\"", "2"]);
-    }
-
-    fn json() -> impl Strategy<Value = Value> {
-        let scalar = prop_oneof![
-            Just(Value::Null),
-            any::<bool>().prop_map(Value::from),
-            any::<f64>().prop_map(Value::from),
-            any::<i32>().prop_map(Value::from),
-            "[\\[\\]{},:\"\\\\ a\u{e9}]{0,6}".prop_map(Value::from),
-        ];
-        scalar.prop_recursive(4, 32, 4, |inner| {
-            prop_oneof![
-                prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
-                prop::collection::vec(("[\\[\\]{},\"\\\\a]{0,3}", inner), 0..4)
-                    .prop_map(|f| Value::Object(f.into_iter().collect())),
-            ]
-        })
-    }
-
-    proptest! {
-        #[test]
-        fn items_are_those_that_serde_finds(items in prop::collection::vec(json(), 0..5),
-            pretty: bool) {
-            let array = Value::from(items);
-            let text = if pretty { serde_json::to_string_pretty(&array) } else {
-                serde_json::to_string(&array) }.unwrap();
-            let expected: Vec<&RawValue> = serde_json::from_str(&text).unwrap();
-            prop_assert_eq!(texts(&text), expected.iter().map(|raw| raw.get()).collect::<Vec<_>>());
-        }
-    }
 }

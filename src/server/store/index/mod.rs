@@ -1,13 +1,13 @@
 //! The sessions of one process: which are alive, what they take, when they expire. Shared by the
 //! memory store and the file store.
 //!
-//! A file counts once for each owner whose sessions name it, also where the store keeps it once for
-//! all of them: otherwise the bytes that the store takes would tell one owner what another one has
-//! stored.
-//!
 //! A full index refuses new sessions and never drops a living one. A change is checked first
 //! (`check_*`), which changes nothing, and then applied, which cannot fail: in between a store
 //! writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
+
+mod files;
+#[cfg(test)]
+mod tests;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,6 +20,7 @@ use mlswarp::warp::Digest;
 use super::{NamedFile, Put, Record, Session, StoreError, StoreLimits};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
+use files::IndexedFile;
 
 /// The sessions of one process.
 #[derive(Debug)]
@@ -46,15 +47,6 @@ struct Entry {
     bytes: u64,
     seq: Option<u64>,
     used: Instant,
-}
-
-#[derive(Debug)]
-struct IndexedFile {
-    bytes: u64,
-    /// Empty unless contents are kept here.
-    content: Bytes,
-    /// How often sessions of the owner name it.
-    names: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -105,18 +97,6 @@ impl Index {
     /// Bytes of files and records, each file once for each owner.
     pub(crate) const fn bytes(&self) -> u64 {
         self.bytes
-    }
-
-    /// The size of a file that a session of the owner names.
-    pub(crate) fn file_bytes(&self, owner: Owner, digest: Digest) -> Option<u64> {
-        self.files.get(&(owner, digest)).map(|file| file.bytes)
-    }
-
-    /// The content of a file that a session of the owner names.
-    pub(crate) fn file(&self, owner: Owner, digest: Digest) -> Option<Bytes> {
-        self.files
-            .get(&(owner, digest))
-            .map(|file| file.content.clone())
     }
 
     fn left(&self, entry: &Entry) -> Duration {
@@ -197,24 +177,6 @@ impl Index {
                 + self.added_bytes(record.id, files),
         )?;
         Ok(outcome)
-    }
-
-    /// The bytes that these files of a session add. The files that they replace count until they
-    /// are replaced.
-    fn added_bytes(&self, id: SessionId, files: &[NamedFile]) -> u64 {
-        let is_first = |(k, file): &(usize, &NamedFile)| {
-            !files[..*k]
-                .iter()
-                .any(|before| before.digest == file.digest)
-        };
-        let is_new = |(_, file): &(usize, &NamedFile)| !self.names(id.owner(), file.digest);
-        files
-            .iter()
-            .enumerate()
-            .filter(is_first)
-            .filter(is_new)
-            .map(|(_, file)| file.len())
-            .sum()
     }
 
     fn check_bytes(&self, bytes: u64) -> Result<(), StoreError> {
@@ -304,58 +266,6 @@ impl Index {
         );
     }
 
-    fn name_file(&mut self, owner: Owner, digest: Digest, bytes: u64, content: &Bytes) {
-        let file = self.files.entry((owner, digest)).or_insert_with(|| {
-            self.bytes += bytes;
-            *self.owners.entry(digest).or_default() += 1;
-            let content = if self.keeps_contents {
-                content.clone()
-            } else {
-                Bytes::new()
-            };
-            IndexedFile {
-                bytes,
-                content,
-                names: 0,
-            }
-        });
-        file.names += 1;
-    }
-
-    fn unname_file(&mut self, owner: Owner, digest: Digest) {
-        let Some(file) = self.files.get_mut(&(owner, digest)) else {
-            return;
-        };
-        file.names -= 1;
-        if file.names > 0 {
-            return;
-        }
-        self.bytes -= file.bytes;
-        self.files.remove(&(owner, digest));
-        if let Some(owners) = self.owners.get_mut(&digest) {
-            *owners -= 1;
-            if *owners == 0 {
-                self.owners.remove(&digest);
-            }
-        }
-    }
-
-    /// Removes a file that cannot be read from the unread sessions that name it.
-    pub(crate) fn lose_file(&mut self, digest: Digest) {
-        let unread = self
-            .sessions
-            .iter_mut()
-            .filter(|(_, entry)| entry.record.is_none());
-        let named = unread.filter_map(|(id, entry)| {
-            let place = entry.files.iter().position(|file| *file == digest)?;
-            entry.files.swap_remove(place);
-            Some(id.owner())
-        });
-        for owner in named.collect::<Vec<_>>() {
-            self.unname_file(owner, digest);
-        }
-    }
-
     /// Whether the record may replace that revision. `false`: another revision is there.
     pub(crate) fn check_revise(
         &self,
@@ -432,32 +342,6 @@ impl Index {
         entry.record
     }
 
-    /// The files that no session of any owner names once these are gone and another one names
-    /// `kept`.
-    pub(crate) fn freed(&self, gone: &[SessionId], kept: &[Digest]) -> Vec<Digest> {
-        let mut fewer: HashMap<(Owner, Digest), usize> = HashMap::new();
-        for (id, entry) in gone.iter().filter_map(|id| self.sessions.get_key_value(id)) {
-            for digest in &entry.files {
-                *fewer.entry((id.owner(), *digest)).or_default() += 1;
-            }
-        }
-        let mut owners: HashMap<Digest, usize> = HashMap::new();
-        for (file, fewer) in fewer
-            .into_iter()
-            .filter(|((_, digest), _)| !kept.contains(digest))
-        {
-            if self
-                .files
-                .get(&file)
-                .is_some_and(|file| file.names == fewer)
-            {
-                *owners.entry(file.1).or_default() += 1;
-            }
-        }
-        owners.retain(|digest, fewer| self.owners.get(digest) == Some(fewer));
-        owners.into_keys().collect()
-    }
-
     /// Sessions that have expired and are not swept yet, the oldest first.
     pub(crate) fn expired(&self) -> Vec<SessionId> {
         let is_over = |entry: &Entry| entry.record.is_some() && self.left(entry).is_zero();
@@ -495,11 +379,6 @@ impl Index {
         while self.tombstones.len() > self.bounds.sessions {
             self.tombstones.pop_lru();
         }
-    }
-
-    /// Whether a session of that owner names the file.
-    pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.files.contains_key(&(owner, digest))
     }
 
     /// The records that can be read.
@@ -546,63 +425,4 @@ pub fn record_bytes(record: &Record) -> u64 {
     512 + 32 * places as u64
         + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64
         + 256 * record.layers.len() as u64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::store::tests::suite;
-
-    #[test]
-    fn a_name_that_is_used_again_has_one_tombstone() {
-        let idle = Duration::from_secs(60);
-        let mut index = Index::new(
-            StoreLimits {
-                idle,
-                sessions: 1,
-                bytes: 1 << 20,
-            },
-            true,
-        );
-        let record = suite::record(1);
-        for _ in 0..3 {
-            index.put(Arc::clone(&record), &suite::files(1), PutOutcome::Create);
-            // A wait could miss the tombstone: it lasts for one idle period.
-            let used = &mut index.sessions.get_mut(&record.id).unwrap().used;
-            *used = used.checked_sub(idle).unwrap();
-            index.expire(&index.expired());
-            assert_eq!(index.tombstones.len(), 1);
-        }
-    }
-
-    #[test]
-    fn no_more_deleted_sessions_are_remembered_than_there_may_be_sessions() {
-        let mut index = Index::new(
-            StoreLimits {
-                sessions: 3,
-                ..suite::bounds()
-            },
-            true,
-        );
-        let ids: Vec<SessionId> = (0..5)
-            .map(|_| {
-                let record = suite::record(1);
-                index.put(Arc::clone(&record), &suite::files(1), PutOutcome::Create);
-                index.delete(record.id);
-                record.id
-            })
-            .collect();
-        assert_eq!((index.tombstones.len(), index.bytes()), (3, 0));
-        let again: Vec<_> = ids.iter().map(|id| index.check_delete(*id)).collect();
-        assert_eq!(
-            again,
-            [
-                Err(StoreError::NoSuchSession),
-                Err(StoreError::NoSuchSession),
-                Ok(false),
-                Ok(false),
-                Ok(false)
-            ]
-        );
-    }
 }

@@ -1,0 +1,203 @@
+//! Positions and outlines mapped by f or by its inverse: exactly, not by the grid. Positions at
+//! rest are those of the source, posed ones those of the picture that is drawn
+//! ([`Transform::onto`]). Outlines get more vertices where the map bends them (`outlines.rs`).
+
+mod outlines;
+#[cfg(test)]
+mod tests;
+
+use std::sync::atomic::AtomicUsize;
+
+use crate::parallel::prelude::*;
+
+use super::{CoordinateFrame, ResolvedRest, Task, Units, WarpError, work};
+use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};
+use crate::geometry::{Mesh, Point};
+pub use outlines::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, samples_of};
+
+/// Positions at which the search of an inverse computes f at once.
+const LANES: usize = 16;
+/// Positions that one task maps.
+const PLACES_PER_TASK: usize = 64;
+
+/// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse,
+/// positions at which nothing of the picture is posed have none.
+#[derive(Debug)]
+pub struct Transform<'a> {
+    map: PositionMap<'a>,
+    /// Those of the source and of the picture.
+    rest: CoordinateFrame,
+    posed: CoordinateFrame,
+    samples: AtomicUsize,
+    /// Operations of f at a position, and the most of all.
+    per_position: u64,
+    max_work: u64,
+}
+
+#[derive(Debug)]
+enum PositionMap<'a> {
+    Forward(PosedMap<'a>),
+    Inverse(Inverse<'a>),
+}
+
+impl ResolvedRest {
+    /// f of a pose.
+    #[must_use]
+    pub fn transform<'a>(&'a self, pose: &'a Pose) -> Transform<'a> {
+        Transform::new(PositionMap::Forward(self.field().deformation(pose)), self)
+    }
+
+    /// The inverse of f. `mesh`: of the same pose and of [`ResolvedRest::to_invert`]; it decides
+    /// where several rest positions have the same posed one.
+    #[must_use]
+    pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
+        Transform::new(
+            PositionMap::Inverse(Inverse::new(self.field(), pose, mesh)),
+            self,
+        )
+    }
+}
+
+impl<'a> Transform<'a> {
+    fn new(map: PositionMap<'a>, setup: &ResolvedRest) -> Self {
+        // A path inside a mask is sought for each position.
+        let per_position = match &setup.cut {
+            Some(_) => work::of_vertex(setup.field()),
+            None => work::of_position(setup.field()),
+        };
+        let max_work = setup.max_work();
+        let source = setup.source_frame();
+        Self {
+            map,
+            rest: source,
+            posed: source,
+            samples: AtomicUsize::new(0),
+            per_position,
+            max_work,
+        }
+    }
+
+    /// Checks the work of this number of positions, for those that are mapped part by part.
+    ///
+    /// # Errors
+    /// More positions than may be mapped.
+    pub fn check_positions(&self, positions: usize) -> Result<(), WarpError> {
+        self.check_work(Task::Positions, positions)
+    }
+
+    /// Errors: More positions than may be mapped.
+    fn check_work(&self, task: Task, positions: usize) -> Result<(), WarpError> {
+        let times = if matches!(self.map, PositionMap::Inverse(_)) {
+            work::EVALUATIONS_PER_INVERSE
+        } else {
+            1
+        };
+        work::at_most(
+            task,
+            self.max_work,
+            (positions as u64)
+                .saturating_mul(self.per_position)
+                .saturating_mul(times),
+        )
+    }
+
+    /// The same map, where posed positions are those of a picture; without this, they are those of
+    /// the plane.
+    #[must_use]
+    pub fn onto(self, picture: CoordinateFrame) -> Self {
+        Self {
+            posed: picture,
+            ..self
+        }
+    }
+
+    /// The same map between positions in px of the plane.
+    pub(super) fn in_px(self) -> Self {
+        let plane = CoordinateFrame::of_source(self.rest.image(), Units::Px);
+        Self {
+            rest: plane,
+            posed: plane,
+            ..self
+        }
+    }
+
+    const fn frames(&self) -> (&CoordinateFrame, &CoordinateFrame) {
+        match self.map {
+            PositionMap::Forward(_) => (&self.rest, &self.posed),
+            PositionMap::Inverse(_) => (&self.posed, &self.rest),
+        }
+    }
+
+    /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops
+    /// when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// A coordinate that is not finite or out of range; cancelled.
+    pub fn map(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
+        self.check_work(Task::Positions, places.len())?;
+        let mut mapped = self.map_px(&self.to_px(places, 0)?, cancelled)?;
+        let (_, to) = self.frames();
+        mapped
+            .iter_mut()
+            .flatten()
+            .for_each(|place| *place = to.from_plane(*place));
+        Ok(mapped)
+    }
+
+    fn map_block(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
+        let mapped = match &self.map {
+            PositionMap::Forward(f) => f
+                .map_all(places, cancelled)
+                .map(|mapped| mapped.into_iter().map(Some).collect()),
+            PositionMap::Inverse(inverse) => {
+                // Beside folds, a search may take a hundred times as long as elsewhere.
+                let taken = inverse
+                    .steps()
+                    .saturating_mul(LANES as u64)
+                    .saturating_mul(self.per_position);
+                work::at_most(Task::Positions, self.max_work, taken)?;
+                inverse.map(places, cancelled)
+            }
+        };
+        mapped.ok_or(WarpError::Cancelled)
+    }
+
+    fn map_px(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
+        let task = |places: &[Point]| self.map_block(places, cancelled);
+        let tasks: Result<Vec<_>, WarpError> =
+            places.par_chunks(PLACES_PER_TASK).map(task).collect();
+        Ok(tasks?.into_iter().flatten().collect())
+    }
+
+    /// `before`: positions before these ones.
+    fn to_px(&self, places: &[Point], before: usize) -> Result<Vec<Point>, WarpError> {
+        let (from, _) = self.frames();
+        let to_px = |(index, place): (usize, &Point)| {
+            let px = from.to_plane(*place);
+            match [px.x, px.y]
+                .into_iter()
+                .find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE)
+            {
+                Some(value) => Err(WarpError::BadPlace {
+                    index: before + index,
+                    value,
+                    limit: MAX_COORDINATE,
+                }),
+                None => Ok(px),
+            }
+        };
+        places.iter().enumerate().map(to_px).collect()
+    }
+}
