@@ -42,7 +42,8 @@ export function useKey(text, remember) {
 }
 
 /**
- * Uses a session token in place of a key; false if it is none. Only the server can check it.
+ * Uses a session token in place of a key; false if the text has another form. Only the server can
+ * check it.
  *
  * @param {unknown} text
  */

@@ -23,8 +23,8 @@ const KINDS = new Set(["FeatureCollection", "Feature", ...GEOMETRIES]);
 /** Vertices that are drawn in a frame of a motion; of more, every second or third one is. */
 const MOST_MOVING = 40_000;
 /**
- * Places of a path that are farther apart than this, px, get some between them, up to so many
- * parts.
+ * Places of a path that are farther apart than this, px, get further places between them, up to
+ * this number of parts.
  */
 const FAR = 8;
 const MOST_PARTS = 64;

@@ -23,7 +23,7 @@ const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
 const isPicture = (file) => file.type.startsWith("image/") || PICTURE.test(file.name);
 
 /**
- * The JSON value of a file; undefined if it is none or too large.
+ * The JSON value of a file; undefined if it is not JSON or too large.
  * @param {File} file
  * @param {number} most
  * @returns {Promise<Page.Json>}

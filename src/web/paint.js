@@ -54,7 +54,7 @@ function premultiplied(outside) {
  */
 
 /**
- * What sets a uniform of so many numbers.
+ * The function that sets a uniform, by the count of its numbers.
  *
  * @type {Record<number, "uniform1fv" | "uniform2fv" | "uniform4fv">}
  */

@@ -220,7 +220,8 @@ export function linkTo(sync, { picture, document: bent }) {
 }
 
 /**
- * Parses a link: { session, warp, name }; null if it is none; `warp` is null if it is damaged.
+ * Parses a link: { session, warp, name }; null if the text is not a link; `warp` is null if it is
+ * damaged.
  * @param {string} hash
  * @returns {{ session: string, warp: Page.Json, name: string } | null}
  */

@@ -14,7 +14,7 @@ from drag_clients import RequestClient, Server, SocketClient, Uploader
 from image import Container
 from names import Names
 from stack import COMPOSE, Stack
-from timeline import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Timeline, check_phases
+from timeline import RESTARTED, DRAINED, KILLED, SILENT, SPEAKS, Timeline, check_phases
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
@@ -157,7 +157,7 @@ def run_events(stack, timeline):
     stack.signal("store", "CONT")
     timeline.begin(SPEAKS)
     time.sleep(4)
-    timeline.begin(ANEW)
+    timeline.begin(RESTARTED)
     stack.compose("restart", "--timeout", "5", "store")
     time.sleep(5)
     timeline.begin("the end")

@@ -8,8 +8,8 @@ from commands import say
 
 GOING_AWAY = 1012
 KILLED, DRAINED = "a replica is killed", "a replica is drained"
-SILENT, SPEAKS, ANEW = "the store is silent", "it speaks again", "the store starts anew"
-WITHOUT_STORE = (SILENT, SPEAKS, ANEW)
+SILENT, SPEAKS, RESTARTED = "the store is silent", "it speaks again", "the store has restarted"
+WITHOUT_STORE = (SILENT, SPEAKS, RESTARTED)
 
 
 @dataclass

@@ -32,7 +32,7 @@ def documented(language):
 
 
 def replaced(text, *changes):
-    """A text after replacements, each of which must be possible so many times."""
+    """Replaces parts of a text, each of which must occur the stated number of times."""
     for old, new, times in changes:
         assert text.count(old) == times, f"`{old}` is there {text.count(old)} times, not {times}"
         text = text.replace(old, new)

@@ -129,7 +129,7 @@ def test_pictures_with_landmarks_that_are_dropped_together_open_the_dialog(visit
     blended(visit)
     visit.page.keyboard.press("Escape")
     visit.body("[data-blend=closed]")
-    # The page behind is as it was, and two pictures without landmark files are none for a blend.
+    # The page behind is as it was, and two pictures without landmark files do not begin a blend.
     assert visit["state"] == "empty"
     two = [("a.png", "image/png", (faces / "anna.png").read_bytes())]
     tell(visit, ["dragover", "drop"], *two)

@@ -215,7 +215,7 @@ def test_a_large_file_is_not_read(visit):
 
 
 def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
-    """The same picture comes back, after the region was cleared, on the picture opened anew, and by
+    """The same picture comes back, after the region was cleared, on the reopened picture, and by
     curl as the refusal says."""
     opened.click(*RED)
     opened.drag(RED, (140, 130))

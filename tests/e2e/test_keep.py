@@ -65,7 +65,7 @@ def test_a_new_tab_goes_on_with_it(bent):
     assert whole(bent) == before
 
 
-def test_a_server_that_was_started_anew_is_given_the_picture_again(visits, picture):
+def test_a_restarted_server_is_given_the_picture_again(visits, picture):
     server = Server()
     try:
         visit = visits(server).open(picture)

@@ -198,7 +198,7 @@ def test_a_broken_project_says_what_is_wrong_and_changes_nothing(visit, project)
     visit.page.wait_for_selector(
         "#problem-detail:text-matches('^In cut.json, the JSON is damaged')"
     )
-    # A picture that is none, and a mask of another picture.
+    # A file that is not a picture, and a mask of another picture.
     visit.expects("415", "422", "400")
     told = json.loads(project["project"])
     told["picture"]["base64"] = base64.b64encode(b"no picture").decode()

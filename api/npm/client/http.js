@@ -93,7 +93,7 @@ export class Http {
     }
   }
 
-  /** The next request asks the function again. False if `auth` is none. */
+  /** The next request asks the function again. False if `auth` is not a function. */
   forget() {
     this.#credential = null;
     return typeof this.#auth === "function";

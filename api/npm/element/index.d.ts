@@ -74,7 +74,7 @@ export class MlsWarp extends HTMLElement {
   toBlob(type?: string, options?: { width?: number; quality?: number }): Promise<Blob>;
   undo(): void;
   redo(): void;
-  /** Shows the whole picture, or so many CSS px for one of the picture. */
+  /** Shows the whole picture, or `zoom` CSS px for each pixel of the picture. */
   zoomTo(zoom: "fit" | number): void;
   /** Moves the focus to a handle. */
   focusHandle(index: number): void;

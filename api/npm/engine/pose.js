@@ -3,7 +3,8 @@
 import { Held, inUse } from "./instance.js";
 
 /**
- * RGBA, not premultiplied: an ImageData, or the like of it where there is none.
+ * RGBA, not premultiplied: an ImageData, or an object with the same members where that class is
+ * missing.
  *
  * @typedef {{
  *   width: number, height: number, data: Uint8ClampedArray<ArrayBuffer>, colorSpace?: PredefinedColorSpace,

@@ -355,7 +355,7 @@ export class MlsWarp extends Base {
   }
 
   /**
-   * Shows the whole picture, or so many CSS px for one of the picture.
+   * Shows the whole picture, or `zoom` CSS px for each pixel of the picture.
    *
    * @param {"fit" | number} zoom
    */

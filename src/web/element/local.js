@@ -54,7 +54,7 @@ export class Local extends Follower {
    * @param {number} revision
    */
   failed(error, revision) {
-    // Another engine begins anew.
+    // Another engine starts without a plan.
     if (/** @type {Error} */ (error).name === "EngineCrashed") {
       this.#engine = this.#plan = null;
       this.#words = "";

@@ -19,7 +19,7 @@ const isPlace = (value) =>
   Array.isArray(value) && value.length === 2 && value.every((c) => Number.isFinite(c));
 
 /**
- * The positions of a handle. Throws a TypeError that says which handle is none.
+ * The positions of a handle. Throws a TypeError that says which handle has no valid form.
  *
  * @param {unknown} handle
  * @param {string} where
