@@ -313,7 +313,7 @@ impl WarpJob<'_> {
             .resolve(landmarks, extent, &limits, most, &|| false)
             .map_err(located)?;
         object.posed().map_err(located)?;
-        let plan = setup.plan(&|| false).map_err(Problem::from)?;
+        let plan = setup.plan(&|| false)?;
         self.prepared = Some(PreparedHandles {
             extent,
             object,

@@ -11,7 +11,7 @@ fn deviating(
     channels: usize,
     out: &[u8],
 ) -> f64 {
-    let picture = source.pixmap().reduced(k);
+    let picture = source.pixmap().reduced(k, &|| false).unwrap();
     let mut deviating = 0;
     for (place, drawn) in reference::places(mesh, target)
         .into_iter()

@@ -280,7 +280,9 @@ fn reference_samples() -> usize {
 /// sampled bilinearly, and blended.
 fn trilinear(picture: &Pixmap, mesh: &Mesh, side: u32) -> Vec<u8> {
     let places = reference::places(mesh, extent(side, side));
-    let copies: Vec<Pixmap> = (0..5).map(|k| picture.reduced(k)).collect();
+    let copies: Vec<Pixmap> = (0..5)
+        .map(|k| picture.reduced(k, &|| false).unwrap())
+        .collect();
     let width = side as usize;
     let pixel = |k: usize| {
         let Some(place) = places[k] else {
