@@ -10,7 +10,9 @@ use mlswarp::deform::{
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, GridSpec, Method, PosedMesh, ResolvedRest, RestSpec, WarpError};
+use mlswarp::warp::{
+    Folds, GridSpec, Method, PosedMesh, Quantity, ResolvedRest, RestSpec, WarpError,
+};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -615,7 +617,7 @@ fn spline_of_many_points_is_posed_without_a_table() {
     assert_eq!(
         error,
         WarpError::TooLarge {
-            what: "spline_handles",
+            what: Quantity::SystemHandles(Method::ThinPlateSpline),
             limit: 2000,
             actual: 2001
         }

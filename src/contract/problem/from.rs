@@ -6,14 +6,14 @@ use mlswarp::deform::{Conflict, DeformError, NotTaken};
 use mlswarp::warp::{Task, WarpError};
 use serde_json::{Value, json};
 
-use super::{Code, Problem};
+use super::{Code, Problem, sentences};
 
 /// Seconds after which cancelled work may be requested again.
 const RETRY_CANCELLED: u32 = 1;
 
 impl From<WarpError> for Problem {
     fn from(error: WarpError) -> Self {
-        let detail = error.to_string();
+        let detail = sentences::of_warp(&error);
         match error {
             WarpError::Codec(error) => Self::from(error),
             WarpError::Rest(error) => handle_problem("p", &error),
@@ -33,18 +33,11 @@ impl From<WarpError> for Problem {
                 limit,
                 actual,
             } => {
-                let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
-                match what {
-                    handles if handles.ends_with("_handles") || handles == "handle_columns" => {
-                        problem.pointer("/p")
-                    }
-                    "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
-                    "outline_samples" => problem.pointer("/polygons"),
-                    output if output.starts_with("output_") || output == "scaled_source_side" => {
-                        problem.pointer("/output/width")
-                    }
-                    canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
-                    _ => problem,
+                let (name, pointer, _) = sentences::limit(what);
+                let problem = Self::new(Code::TooLarge, detail).limit(name, limit, actual);
+                match pointer {
+                    Some(pointer) => problem.pointer(pointer),
+                    None => problem,
                 }
             }
             WarpError::TooMuchWork {
@@ -119,7 +112,7 @@ impl From<CodecError> for Problem {
 
 /// `field`: `p` or `q`.
 fn handle_problem(field: &str, error: &DeformError) -> Problem {
-    let new = |code| Problem::new(code, error.to_string());
+    let new = |code| Problem::new(code, sentences::of_handles(error));
     let at_handle = |code, handle: usize| {
         new(code)
             .pointer(format!("/{field}/{handle}"))
@@ -193,7 +186,7 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             what,
             limit,
             actual,
-        } => too_large().limit(what, limit, actual),
+        } => too_large().limit(sentences::mesh_limit(what), limit, actual),
         DeformError::NeedsMask { .. } => new(Code::NotSupported).pointer("/method"),
         DeformError::NoMetric { .. } => new(Code::NotSupported).pointer("/metric"),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange)
@@ -220,6 +213,7 @@ fn number(value: f64) -> Value {
 #[cfg(test)]
 mod tests {
     use mlswarp::geometry::Point;
+    use mlswarp::warp::{GridError, Method, Quantity};
 
     use super::*;
 
@@ -229,7 +223,7 @@ mod tests {
         pointer: Option<&str>,
         handle: Option<usize>,
     ) -> Problem {
-        let text = error.to_string();
+        let text = sentences::of_warp(&error);
         let problem = Problem::from(error);
         assert_eq!(
             (problem.code, problem.pointer.as_deref(), problem.handle),
@@ -435,13 +429,13 @@ mod tests {
             Some("image_side")
         );
         for (what, pointer) in [
-            ("handle_columns", Some("/p")),
-            ("spline_handles", Some("/p")),
-            ("grid_vertices", Some("/grid")),
-            ("output_side", Some("/output/width")),
-            ("output_pixels", Some("/output/width")),
-            ("scaled_source_side", Some("/output/width")),
-            ("other", None),
+            (Quantity::HandleColumns, Some("/p")),
+            (Quantity::SystemHandles(Method::ThinPlateSpline), Some("/p")),
+            (Quantity::GridVertices, Some("/grid")),
+            (Quantity::OutputSide, Some("/output/width")),
+            (Quantity::OutputPixels, Some("/output/width")),
+            (Quantity::ScaledSourceSide, Some("/output/width")),
+            (Quantity::Memory, None),
         ] {
             let problem = expect(
                 WarpError::TooLarge {
@@ -465,7 +459,7 @@ mod tests {
             None,
         );
         expect(
-            WarpError::BadGrid("cell is 0".to_owned()),
+            WarpError::BadGrid(GridError::Cell(0.0)),
             Code::BadValue,
             Some("/grid"),
             None,

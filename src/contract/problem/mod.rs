@@ -6,6 +6,7 @@
 
 mod code;
 mod from;
+mod sentences;
 pub mod words;
 
 use std::fmt;

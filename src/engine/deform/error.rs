@@ -5,6 +5,27 @@ use std::fmt;
 use super::conflicts::Conflict;
 use crate::geometry::DisplayNumber;
 
+/// What a mesh of a mask takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshQuantity {
+    /// Positions that handles hold.
+    Positions,
+    /// Memory, bytes.
+    Bytes,
+    /// Operations.
+    Operations,
+}
+
+impl fmt::Display for MeshQuantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Positions => "positions",
+            Self::Bytes => "bytes",
+            Self::Operations => "operations",
+        })
+    }
+}
+
 /// Why a method does not take a handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotTaken {
@@ -134,8 +155,8 @@ pub enum DeformError {
     },
     /// A mesh of the mask would take too much.
     MeshTooLarge {
-        /// What: `arap_positions`, `arap_bytes` or `arap_operations`.
-        what: &'static str,
+        /// What it would take.
+        what: MeshQuantity,
         /// The limit.
         limit: u64,
         /// The amount.
@@ -304,14 +325,34 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
-            Self::EmptyMask
-            | Self::OutsideMask { .. }
-            | Self::MaskTooLarge { .. }
-            | Self::MaskTooWinding { .. }
-            | Self::NoMetric { .. }
-            | Self::TooManyVertices { .. }
-            | Self::MeshTooLarge { .. }
-            | Self::NeedsMask { .. } => self.write_about_mask(f),
+            Self::EmptyMask => f.write_str("no pixel of the image is inside the mask"),
+            Self::OutsideMask { handle } => {
+                write!(f, "handle {handle} is more than 3 px outside the mask")
+            }
+            Self::MaskTooLarge { limit, bytes } => write!(
+                f,
+                "distances inside the mask would take {bytes} bytes; the limit is {limit}"
+            ),
+            Self::MaskTooWinding { limit, operations } => write!(
+                f,
+                "distances inside the mask would take {operations} operations; the limit is {limit}"
+            ),
+            Self::NoMetric { method } => write!(f, "the method {method} has no metric"),
+            Self::TooManyVertices { limit } => write!(
+                f,
+                "the mesh of what the image shows would have more than {limit} vertices"
+            ),
+            Self::MeshTooLarge {
+                what,
+                limit,
+                actual,
+            } => write!(
+                f,
+                "the mesh of what the image shows would take {actual} {what}; the limit is {limit}"
+            ),
+            Self::NeedsMask { method } => {
+                write!(f, "the method {method} needs the mask of an image")
+            }
             Self::NotTaken {
                 handle,
                 method,
@@ -320,82 +361,6 @@ impl fmt::Display for DeformError {
             Self::AlphaOutOfRange { alpha, lines } => {
                 outside(f, "alpha", *alpha, alpha_rule(*lines))
             }
-        }
-    }
-}
-
-impl DeformError {
-    /// The sentences about a mask and its metric.
-    fn write_about_mask(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::EmptyMask => f.write_str(
-                "no pixel of the image is inside the mask: lower its threshold, or send another \
-                    image or region",
-            ),
-            Self::OutsideMask { handle } => write!(
-                f,
-                "handle {handle} is more than 3 px outside the mask: place it, and a line as a \
-                    whole, on what the image shows"
-            ),
-            Self::MaskTooLarge { limit, bytes } => write!(
-                f,
-                "distances inside the mask would take {bytes} bytes, and the limit is {limit}; \
-                    send fewer handles, or a mask of fewer pieces"
-            ),
-            Self::MaskTooWinding { limit, operations } => write!(
-                f,
-                "distances inside the mask would take {operations} operations, and the limit is \
-                    {limit}; send fewer handles, or a mask that is less winding"
-            ),
-            Self::NoMetric { method } => write!(
-                f,
-                "the method `{method}` has no metric; `geodesic` needs `rigid`, `similarity` or \
-                    `affine`"
-            ),
-            _ => self.write_about_mesh(f),
-        }
-    }
-
-    /// The sentences about the mesh of a mask.
-    fn write_about_mesh(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooManyVertices { limit } => write!(
-                f,
-                "the mesh of what the image shows would have more than {limit} vertices; send a \
-                    larger `arap.cell`"
-            ),
-            Self::MeshTooLarge {
-                what,
-                limit,
-                actual,
-            } => {
-                let (amount, advice) = match *what {
-                    "arap_positions" => (
-                        "hold {} positions, which lines have at each cell",
-                        "fewer or shorter handles, or a larger `arap.cell`",
-                    ),
-                    "arap_bytes" => (
-                        "take {} bytes, because many pieces lie in its cells",
-                        "a smaller `arap.cell`, or an image of fewer pieces",
-                    ),
-                    _ => (
-                        "take {} operations",
-                        "fewer handles, or a larger `arap.cell`",
-                    ),
-                };
-                let amount = amount.replace("{}", &actual.to_string());
-                write!(
-                    f,
-                    "the mesh of what the image shows would {amount}; the limit is {limit}; send \
-                        {advice}"
-                )
-            }
-            Self::NeedsMask { method } => write!(
-                f,
-                "the method `{method}` needs an image, whose outline its mesh follows; plans of \
-                    the packages, blends, and requests without an image have none"
-            ),
-            _ => Ok(()),
         }
     }
 }

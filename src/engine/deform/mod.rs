@@ -69,7 +69,7 @@ mod workspace;
 pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
-pub use error::{DeformError, NotTaken, Warning};
+pub use error::{DeformError, MeshQuantity, NotTaken, Warning};
 pub use fold_free::{FoldFree, FoldFreeError, MakeDeformation};
 pub use form::CoefficientForm;
 pub use groups::{Coincident, CoincidentPolicy};

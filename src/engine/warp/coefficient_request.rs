@@ -6,7 +6,7 @@ use super::cut_rest::check_uncut;
 use super::digest::Collector;
 use super::rest_parameters::{resolve_grid, with_mask};
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, ResolvedRest, Units, WarpError};
+use super::{Digest, GridSpec, Limits, Quantity, ResolvedRest, Units, WarpError};
 use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, RestDeformation};
 use crate::geometry::Grid;
 
@@ -80,7 +80,7 @@ impl CoefficientRequest {
             grid,
             rest: setup.rest_digest(),
         };
-        at_most("plan_bytes", limits.plan_bytes, table.bytes())?;
+        at_most(Quantity::PlanBytes, limits.plan_bytes, table.bytes())?;
         Ok(table)
     }
 

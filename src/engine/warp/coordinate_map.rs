@@ -7,7 +7,9 @@ use std::ops::Range;
 use super::digest::Collector;
 use super::pixel_positions::PixelPositions;
 use super::spec::at_most;
-use super::{CanvasSpec, Digest, Limits, MapDirection, OutputSpec, PosedMesh, Target, WarpError};
+use super::{
+    CanvasSpec, Digest, Limits, MapDirection, OutputSpec, PosedMesh, Quantity, Target, WarpError,
+};
 use crate::codec::FloatTiff;
 use crate::deform::IsCancelled;
 use crate::geometry::PIXEL_CENTER;
@@ -88,11 +90,15 @@ impl MapSpec {
         if self.canvas == CanvasSpec::Same && self.width.is_none() {
             // There need not be a picture that was checked.
             at_most(
-                "map_side",
+                Quantity::MapSide,
                 limits.image.max_side.into(),
                 source.width().max(source.height()).into(),
             )?;
-            at_most("map_pixels", limits.image.max_pixels, source.pixels())?;
+            at_most(
+                Quantity::MapPixels,
+                limits.image.max_pixels,
+                source.pixels(),
+            )?;
         }
         self.output().check(source, limits)
     }
@@ -122,7 +128,7 @@ impl CoordinateMap {
             MapFormat::Tiff => {
                 let limit = u64::from(u32::MAX) / (POSITION_BYTES + 1);
                 let too_large = WarpError::TooLarge {
-                    what: "map_pixels",
+                    what: Quantity::MapPixels,
                     limit,
                     actual: target.extent.pixels(),
                 };

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use super::rest_parameters::to_px;
 use super::spec::{at_most, system_bytes};
-use super::{GridSpec, Limits, Metric, RestSpec, Task, Units, WarpError, work};
+use super::{
+    GridError, GridSpec, Limits, Metric, Quantity, RestSpec, Task, Units, WarpError, work,
+};
 use crate::deform::{
     CoefficientTable, DeformError, Handle, IsCancelled, MeshMethod, Pose, PoseQuality,
     RestDeformation,
@@ -19,7 +21,6 @@ use crate::topology::{CutLattice, Distances, LatticeSize, MAX_SPACING, Mask, Nod
 const QUADS: usize = 40_000;
 const MOST_CELLS: usize = 1 << 21;
 const LEAST_CELL: u32 = 2;
-const GRID_VERTICES: &str = "grid_vertices";
 /// The pixel of a vertex that no handle moves.
 const AT_REST: u32 = u32::MAX - 1;
 
@@ -54,7 +55,7 @@ impl CutRest {
         let lattice = lattice.ok_or(WarpError::Cancelled)?;
         let vertices = lattice.vertices().len();
         let bytes = CoefficientTable::bytes_for(field, vertices);
-        at_most("plan_bytes", limits.plan_bytes, bytes)?;
+        at_most(Quantity::PlanBytes, limits.plan_bytes, bytes)?;
         work::at_most(
             Task::Grid,
             limits.work,
@@ -87,7 +88,7 @@ impl CutRest {
     ) -> Result<LatticeSize, WarpError> {
         let size = CutLattice::size(mask, side, limits.plan_bytes, cancelled);
         let size = size.ok_or(WarpError::Cancelled)?;
-        at_most("plan_bytes", limits.plan_bytes, size.bytes(side))?;
+        at_most(Quantity::PlanBytes, limits.plan_bytes, size.bytes(side))?;
         Ok(size)
     }
 
@@ -259,11 +260,7 @@ fn held_positions(rest: &RestSpec, mask: &Mask, side: f64) -> u64 {
 /// The grid whose cells a method's mesh has.
 fn resolve_mesh_grid(rest: &RestSpec, method: &MeshMethod, mask: &Mask) -> Result<Grid, WarpError> {
     if rest.grid.tolerance().is_none() {
-        let name = rest.method.info().name;
-        return Err(WarpError::BadGrid(format!(
-            "the method `{name}` draws its own mesh, which is exact: leave `grid` out, or send \
-                `auto`; `{name}.cell` is the side of its cells"
-        )));
+        return Err(WarpError::BadGrid(GridError::OwnMesh(rest.method)));
     }
     let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
     let cell = (method.cell)(&rest.own, mask);
@@ -278,7 +275,11 @@ pub(super) fn resolve_grid(
 ) -> Result<Grid, WarpError> {
     if let Some(method) = &rest.method.info().mesh {
         let grid = resolve_mesh_grid(rest, method, mask)?;
-        at_most(GRID_VERTICES, limits.plan_bytes / 8, grid.len() as u64)?;
+        at_most(
+            Quantity::GridVertices,
+            limits.plan_bytes / 8,
+            grid.len() as u64,
+        )?;
         return Ok(grid);
     }
     let side = match rest.grid {
@@ -300,15 +301,18 @@ pub(super) fn resolve_grid(
             whole(side)
         }
         GridSpec::Cell(_) | GridSpec::Counts { .. } | GridSpec::Tolerance(_) => {
-            return Err(WarpError::BadGrid(format!(
-                "with the metric `geodesic`, the grid is `auto`, `pixel`, or cells of 1 to \
-                    {MAX_SPACING} whole px"
-            )));
+            return Err(WarpError::BadGrid(GridError::CutCells {
+                most: MAX_SPACING,
+            }));
         }
     };
     let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
     let grid = Grid::with_cell(width, height, f64::from(side));
-    at_most(GRID_VERTICES, limits.plan_bytes / 8, grid.len() as u64)?;
+    at_most(
+        Quantity::GridVertices,
+        limits.plan_bytes / 8,
+        grid.len() as u64,
+    )?;
     Ok(grid)
 }
 

@@ -1,7 +1,7 @@
 //! A drawing in memory: the same rows as those of a file, without a file.
 
 use super::mesh_renderer::MeshRenderer;
-use super::{OutputSpec, PosedMesh, RasterSource, Target, WarpError};
+use super::{OutputSpec, PosedMesh, Quantity, RasterSource, Target, WarpError};
 use crate::deform::IsCancelled;
 use crate::parallel::prelude::*;
 use crate::pixmap::{Channels, Depth, PixelLayout, Pixels};
@@ -63,7 +63,7 @@ pub(crate) fn reserved<T: Clone + Default>(count: u64) -> Result<Vec<T>, WarpErr
         .filter(|count| values.try_reserve_exact(*count).is_ok());
     let Some(length) = room else {
         return Err(WarpError::TooLarge {
-            what: "memory",
+            what: Quantity::Memory,
             limit: isize::MAX.unsigned_abs() as u64,
             actual: count.saturating_mul(size_of::<T>() as u64),
         });

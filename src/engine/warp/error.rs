@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::convert::Infallible;
 use std::fmt;
 
+use super::{GridSpec, Quantity};
 use crate::deform::{self, DeformError, METHODS, Method, MethodInfo, Parameter};
 use crate::format::{CodecError, Dropped, Format, Repairs};
 use crate::geometry::DisplayNumber;
@@ -33,11 +34,8 @@ pub enum WarpError {
     Cancelled,
     /// Over a limit.
     TooLarge {
-        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`,
-        /// `grid_columns`, `grid_rows`, `output_side`, `output_pixels`, `canvas_side`,
-        /// `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
-        /// `outline_samples`, `plan_bytes`, `memory`.
-        what: &'static str,
+        /// What is limited.
+        what: Quantity,
         /// The limit.
         limit: u64,
         /// The requested value.
@@ -86,7 +84,7 @@ pub enum WarpError {
         what: &'static str,
     },
     /// An invalid grid.
-    BadGrid(String),
+    BadGrid(GridError),
     /// Labels in a format that would change them.
     LabelFormat {
         /// The format.
@@ -132,22 +130,21 @@ impl fmt::Display for WarpError {
                 DisplayNumber(*value)
             ),
             Self::Cancelled => {
-                f.write_str("cancelled: the client has disconnected or the deadline has passed")
+                f.write_str("cancelled: the result is no longer wanted")
             }
             Self::TooLarge {
                 what,
                 limit,
                 actual,
-            } => write!(f, "{}; the limit is {limit}", measured(what, *actual)),
+            } => write!(f, "{what}: {actual}; the limit is {limit}"),
             Self::TooMuchWork {
                 task,
                 limit,
                 actual,
             } => write!(
                 f,
-                "{} would take {actual} operations; the limit is {limit}; {}",
-                task.name(),
-                task.advice()
+                "{} would take {actual} operations; the limit is {limit}",
+                task.name()
             ),
             Self::ForeignParameter { parameter } => f.write_str(&foreign(parameter)),
             Self::LineInFit { handle } => write!(
@@ -159,21 +156,20 @@ impl fmt::Display for WarpError {
                 "methods are compared on at least {least} distinct points; found {actual}"
             ),
             Self::UnusedMask => f.write_str(
-                "`mask` does not apply: it belongs to the metric `geodesic` and the method `arap`",
+                "a threshold of the mask does not apply: neither the metric nor the method has a mask",
             ),
             Self::NoImage => {
-                f.write_str("the metric `geodesic` needs an image: send one, or use a session")
+                f.write_str("the metric needs the mask of an image")
             }
             Self::CutBorder => f.write_str(
-                "`outside` cannot continue an image beyond its outline, which the metric \
-                    `geodesic` and the method `arap` follow; use `transparent` or a colour",
+                "an image cannot be continued beyond the outline that its grid follows",
             ),
             Self::CutGrid { what } => write!(
                 f,
-                "{what} is not supported with the metric `geodesic`; use `euclidean` for it"
+                "{what} needs a grid that is not cut along a mask"
             ),
             Self::NoTable { reason } => f.write_str(reason),
-            Self::BadGrid(detail) => f.write_str(detail),
+            Self::BadGrid(error) => error.fmt(f),
             Self::LabelFormat { format } => write!(
                 f,
                 "labels cannot be written as {}, which would change them; use PNG or TIFF",
@@ -192,11 +188,11 @@ impl fmt::Display for WarpError {
             ),
             Self::OutsideBeyondDepth { value, most } => write!(
                 f,
-                "the value {value} of `outside` exceeds {most}, the largest of an image of {} bits",
+                "the value {value} outside exceeds {most}, the largest of an image of {} bits",
                 if *most > 255 { 16 } else { 8 }
             ),
             Self::OutsideOfLabels => {
-                f.write_str("outside, labels are 0: `outside` with a value does not apply to them")
+                f.write_str("outside, labels are 0, and no other value")
             }
             Self::Folded { cells } => write!(
                 f,
@@ -204,7 +200,7 @@ impl fmt::Display for WarpError {
                 if *cells == 1 { "cell" } else { "cells" }
             ),
             Self::NothingVisible => {
-                f.write_str("the posed picture has no area, so the canvas `fit` would be empty")
+                f.write_str("the posed picture has no area")
             }
         }
     }
@@ -236,6 +232,62 @@ impl From<PixelError> for WarpError {
     }
 }
 
+/// What is wrong with a grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GridError {
+    /// A tolerance out of [`GridSpec::TOLERANCE_RANGE_PX`](super::GridSpec::TOLERANCE_RANGE_PX), px.
+    Tolerance(f64),
+    /// The side of a cell, which is no positive number, px.
+    Cell(f64),
+    /// Fewer than two columns or rows of vertices.
+    Counts {
+        /// Columns of vertices.
+        columns: u32,
+        /// Rows of vertices.
+        rows: u32,
+    },
+    /// A method that draws a mesh of its own.
+    OwnMesh(Method),
+    /// Cells without a whole number of pixels, or more of them, in a grid that is cut along a mask.
+    CutCells {
+        /// The longest side of a cell, px.
+        most: u32,
+    },
+}
+
+impl fmt::Display for GridError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tolerance(tolerance) => {
+                let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
+                write!(
+                    f,
+                    "the tolerance of a grid must be {least} to {most} px; found {}",
+                    DisplayNumber(*tolerance)
+                )
+            }
+            Self::Cell(cell) => write!(
+                f,
+                "the cell of a grid must be a positive number of pixels; found {}",
+                DisplayNumber(*cell)
+            ),
+            Self::Counts { columns, rows } => write!(
+                f,
+                "a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}"
+            ),
+            Self::OwnMesh(method) => write!(
+                f,
+                "the method {} draws a mesh of its own",
+                method.info().name
+            ),
+            Self::CutCells { most } => write!(
+                f,
+                "a grid that is cut along a mask has cells of 1 to {most} whole px"
+            ),
+        }
+    }
+}
+
 /// Work that is a product or a power by nature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
@@ -256,7 +308,9 @@ pub enum Task {
 }
 
 impl Task {
-    fn name(self) -> &'static str {
+    /// The subject of a sentence.
+    #[must_use]
+    pub fn name(self) -> &'static str {
         match self {
             Self::System(method) => {
                 let system = method.info().system.as_ref();
@@ -269,27 +323,6 @@ impl Task {
             Self::Quality => "measuring the posed grid",
             Self::Survey => "posing all frames before the first is sent",
         }
-    }
-
-    /// What to send instead.
-    fn advice(self) -> String {
-        let advice = match self {
-            Self::System(method) => {
-                let name = method.info().name;
-                return format!("send fewer handles, or another method than `{name}`");
-            }
-            Self::Grid => "send fewer handles or a coarser `grid`",
-            Self::Positions => "send fewer positions in a request, or fewer handles",
-            Self::Outlines => {
-                "send fewer or shorter outlines in a request, `\"refine\": false`, or fewer handles"
-            }
-            Self::Comparison => "send fewer candidates in a request, or fewer points",
-            Self::Quality => "send a coarser `grid`",
-            Self::Survey => {
-                "send fewer frames in a request, fewer handles, or an opaque `output.outside`"
-            }
-        };
-        advice.to_owned()
     }
 }
 
@@ -449,42 +482,4 @@ fn foreign(parameter: &str) -> String {
         [all @ .., last] => format!("it belongs to the methods {} and {last}", all.join(", ")),
     };
     format!("`{parameter}` does not apply: {reason}")
-}
-
-/// Describes the requested value; `what` as in [`WarpError::TooLarge`].
-fn measured(what: &str, actual: u64) -> String {
-    match what {
-        "handle_columns" => {
-            format!("the handles need {actual} columns (1 for each point, 2 for each segment)")
-        }
-        "fit_handles" => format!("methods would be compared on {actual} handles"),
-        "outline_samples" => {
-            format!("the outlines would be examined at {actual} positions or more")
-        }
-        "grid_vertices" => format!("the grid would have {actual} vertices"),
-        "grid_columns" => format!("the grid would have {actual} columns"),
-        "grid_rows" => format!("the grid would have {actual} rows"),
-        "output_side" => format!("the longer side of the output would be {actual} px"),
-        "output_pixels" => format!("the output would have {actual} pixels"),
-        "scaled_source_side" => {
-            format!("at this scale the longer side of the whole source would be {actual} px")
-        }
-        "map_side" => format!("the longer side of the map would be {actual} px"),
-        "map_pixels" => format!("the map would have {actual} pixels"),
-        "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
-        "canvas_edge" => format!("the canvas would reach {actual} px from the corner of the image"),
-        "plan_bytes" => format!("the coefficients would take {actual} bytes"),
-        "memory" => format!("the pixels would take {actual} bytes"),
-        "canvas_pixels" => format!("the canvas would have {actual} pixels"),
-        _ => {
-            let is_meant = |info: &&&MethodInfo| {
-                let system = info.system.as_ref();
-                system.is_some_and(|system| system.most_handles.0 == what)
-            };
-            match METHODS.iter().find(is_meant) {
-                Some(info) => format!("the method `{}` would have {actual} handles", info.name),
-                None => format!("{what}: {actual}"),
-            }
-        }
-    }
 }

@@ -3,7 +3,7 @@
 
 use super::rest_parameters::{check_parameters, field, to_px};
 use super::spec::at_most;
-use super::{Limits, Method, RestSpec, Task, WarpError, work};
+use super::{Limits, Method, Quantity, RestSpec, Task, WarpError, work};
 use crate::deform::{
     DeformError, Handle, Handles, IsCancelled, METHODS, MethodInfo, Parameters, RestDeformation,
 };
@@ -139,7 +139,7 @@ impl Fit {
         {
             return Err(WarpError::LineInFit { handle });
         }
-        at_most("fit_handles", most, rest.p.len() as u64)?;
+        at_most(Quantity::FitHandles, most, rest.p.len() as u64)?;
         let unit = rest.unit(extent);
         let handles =
             Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
@@ -429,7 +429,7 @@ mod tests {
         assert_eq!(
             fit(&seven, &seven).unwrap_err(),
             WarpError::TooLarge {
-                what: "fit_handles",
+                what: Quantity::FitHandles,
                 limit: 6,
                 actual: 7
             }

@@ -30,6 +30,7 @@ mod pixel_positions;
 mod plausibility;
 mod posed_mesh;
 mod quality;
+mod quantity;
 mod raster_source;
 mod region;
 #[cfg(feature = "codec")]
@@ -59,7 +60,7 @@ pub use self::cut_rest::FieldBytes;
 pub use self::digest::Digest;
 pub use self::drawn_pixels::LabelValues;
 pub(crate) use self::drawn_pixels::{DrawnPixels, reserved};
-pub use self::error::{Figure, Task, Warning, WarpError};
+pub use self::error::{Figure, GridError, Task, Warning, WarpError};
 pub use self::fit::{Candidate, Fit, Prediction, best, check_comparison, choose};
 pub use self::frame::CoordinateFrame;
 pub use self::image::Image;
@@ -70,6 +71,7 @@ pub(crate) use self::pixel_positions::PixelPositions;
 pub use self::plausibility::Seen;
 pub use self::posed_mesh::{PosedMesh, Report};
 pub use self::quality::{Quality, RoundTrip, ToleranceQuality};
+pub use self::quantity::Quantity;
 pub use self::raster_source::RasterSource;
 pub use self::region::Region;
 #[cfg(feature = "codec")]

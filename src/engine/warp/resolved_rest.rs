@@ -10,8 +10,8 @@ use super::rest_parameters::{
 };
 use super::spec::at_most;
 use super::{
-    CompiledRest, Digest, GridSpec, Limits, Metric, RestMask, RestSpec, Task, Units, Warning,
-    WarpError, work,
+    CompiledRest, Digest, GridSpec, Limits, Metric, Quantity, RestMask, RestSpec, Task, Units,
+    Warning, WarpError, work,
 };
 use crate::deform::{
     self, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap,
@@ -102,7 +102,7 @@ impl ResolvedRest {
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
-        at_most("handle_columns", limits.columns as u64, columns)?;
+        at_most(Quantity::HandleColumns, limits.columns as u64, columns)?;
         check_parameters(rest)?;
         let mask = cut_rest::mask_of(rest, extent)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));

@@ -3,9 +3,9 @@
 
 use super::digest::Collector;
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, RestMask, RestSpec, Units, WarpError};
+use super::{Digest, GridError, GridSpec, Limits, Quantity, RestMask, RestSpec, Units, WarpError};
 use crate::deform::{DeformError, Handle, Handles, Identity, IsCancelled, RestDeformation};
-use crate::geometry::{DisplayNumber, Grid, Point};
+use crate::geometry::{Grid, Point};
 
 /// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics
 /// section 12, step 1).
@@ -33,7 +33,8 @@ pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
     }
     match &info.system {
         Some(system) => {
-            let (what, most) = system.most_handles;
+            let (_, most) = system.most_handles;
+            let what = Quantity::SystemHandles(rest.method);
             at_most(what, most, rest.p.len() as u64)
         }
         None => Ok(()),
@@ -79,10 +80,10 @@ pub(super) fn resolve_grid(
         at_most(what, limit, count.into())
     };
     let check = |columns: u32, rows: u32| {
-        along("grid_columns", width, columns)?;
-        along("grid_rows", height, rows)?;
+        along(Quantity::GridColumns, width, columns)?;
+        along(Quantity::GridRows, height, rows)?;
         at_most(
-            "grid_vertices",
+            Quantity::GridVertices,
             limits.plan_bytes / MESH_BYTES_PER_VERTEX,
             u64::from(columns) * u64::from(rows),
         )
@@ -96,28 +97,21 @@ pub(super) fn resolve_grid(
     };
     match spec {
         GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCE_RANGE_PX.contains(&tolerance) => {
-            let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
-            Err(WarpError::BadGrid(format!(
-                "the tolerance of a grid must be {least} to {most} px; found {}",
-                DisplayNumber(tolerance)
-            )))
+            Err(WarpError::BadGrid(GridError::Tolerance(tolerance)))
         }
         GridSpec::Auto | GridSpec::Tolerance(_) => {
             with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1))
         }
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
-        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!(
-            "the cell of a grid must be a positive number of pixels; found {}",
-            DisplayNumber(cell)
-        ))),
+        GridSpec::Cell(cell) => Err(WarpError::BadGrid(GridError::Cell(cell))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
             check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }
-        GridSpec::Counts { columns, rows } => Err(WarpError::BadGrid(format!(
-            "a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}"
-        ))),
+        GridSpec::Counts { columns, rows } => {
+            Err(WarpError::BadGrid(GridError::Counts { columns, rows }))
+        }
     }
 }
 

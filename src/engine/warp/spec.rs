@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{CanvasSpec, RestMask, Warning, WarpError};
+use super::{CanvasSpec, Quantity, RestMask, Warning, WarpError};
 use crate::deform::{Coincident, Handle, Method, Parameters};
 use crate::format::{Compression, Encoding, EncodingChoice, Format, ImageLimits, Subsampling};
 use crate::pixmap::Depth;
@@ -295,7 +295,7 @@ fn in_eight(sample: u16, depth: Depth) -> u8 {
 }
 
 /// Returns an error if a number exceeds a limit.
-pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
+pub(super) fn at_most(what: Quantity, limit: u64, actual: u64) -> Result<(), WarpError> {
     if actual > limit {
         Err(WarpError::TooLarge {
             what,

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::spec::at_most;
-use super::{Limits, OutputSpec, PosedMesh, WarpError};
+use super::{Limits, OutputSpec, PosedMesh, Quantity, WarpError};
 #[cfg(feature = "codec")]
 use crate::codec::{Carried, Metadata};
 use crate::deform::IsCancelled;
@@ -79,7 +79,7 @@ fn fit(posed: &PosedMesh, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpErro
     )]
     if farthest > f64::from(FARTHEST_EDGE_PX) {
         return Err(WarpError::TooLarge {
-            what: "canvas_edge",
+            what: Quantity::CanvasEdge,
             limit: FARTHEST_EDGE_PX.unsigned_abs().into(),
             actual: farthest.ceil() as u64,
         });
@@ -253,26 +253,34 @@ impl OutputSpec {
         let Some(width) = self.width else {
             if self.canvas == CanvasSpec::Same {
                 // The source is within the limits of pictures.
-                at_most("output_side", self.format.max_side().into(), w.max(h))?;
-                at_most("output_pixels", self.format.max_pixels(), w * h)?;
+                at_most(
+                    Quantity::OutputSide,
+                    self.format.max_side().into(),
+                    w.max(h),
+                )?;
+                at_most(Quantity::OutputPixels, self.format.max_pixels(), w * h)?;
             } else {
-                at_most("canvas_side", max_side, w.max(h))?;
-                at_most("canvas_pixels", max_pixels, w * h)?;
+                at_most(Quantity::CanvasSide, max_side, w.max(h))?;
+                at_most(Quantity::CanvasPixels, max_pixels, w * h)?;
             }
             return Ok(canvas.extent);
         };
-        at_most("output_side", max_side, width.into())?;
+        at_most(Quantity::OutputSide, max_side, width.into())?;
         let height = height_of(canvas, width);
-        at_most("output_side", max_side, height)?;
-        at_most("output_pixels", max_pixels, height * u64::from(width))?;
+        at_most(Quantity::OutputSide, max_side, height)?;
         at_most(
-            "scaled_source_side",
+            Quantity::OutputPixels,
+            max_pixels,
+            height * u64::from(width),
+        )?;
+        at_most(
+            Quantity::ScaledSourceSide,
             LONGEST_SCALED_SOURCE,
             u64::from(source.width().max(source.height())) * u64::from(width) / w,
         )?;
         let height = u32::try_from(height).expect("at most max_side");
         Extent::new(width, height).ok_or(WarpError::TooLarge {
-            what: "output_side",
+            what: Quantity::OutputSide,
             limit: max_side,
             actual: 0,
         })

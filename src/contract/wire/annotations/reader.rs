@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use mlswarp::deform::MAX_COORDINATE;
 use mlswarp::geometry::Point;
-use mlswarp::warp::{CoordinateFrame, Edges, MAX_EDGE_SAMPLES, Seen, WarpError, samples_of};
+use mlswarp::warp::{
+    CoordinateFrame, Edges, MAX_EDGE_SAMPLES, Quantity, Seen, WarpError, samples_of,
+};
 
 use super::super::json::Node;
 use crate::problem::Problem;
@@ -92,7 +94,7 @@ impl<'j> Reader<'j> {
         let (limit, actual) = (MAX_EDGE_SAMPLES as u64, self.samples as u64);
         if self.samples > MAX_EDGE_SAMPLES {
             let error = WarpError::TooLarge {
-                what: "outline_samples",
+                what: Quantity::OutlineSamples,
                 limit,
                 actual,
             };

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::super::{
     Digest, Folds, GridSpec, Image, ImageLimits, Limits, Method, Metric, OutputSpec, PosedMesh,
-    RasterSource, RenderJob, ResolvedRest, RestMask, RestSpec, Warning, WarpError,
+    Quantity, RasterSource, RenderJob, ResolvedRest, RestMask, RestSpec, Warning, WarpError,
 };
 use crate::codec::Compression;
 use crate::deform::{DeformError, Handle};
@@ -285,7 +285,7 @@ fn a_grid_whose_quads_take_too_much_memory_is_refused() {
         ..Limits::default()
     };
     let is_refused = |error: &WarpError| {
-        matches!(error, WarpError::TooLarge { what: "plan_bytes", limit, actual }
+        matches!(error, WarpError::TooLarge { what: Quantity::PlanBytes, limit, actual }
             if *limit == 64 << 20 && actual > limit)
     };
     let refused = rest.field_bytes(&limits, &|| false).unwrap_err();

@@ -25,8 +25,8 @@ use self::sets::{
     Case, Kind, MANY_HANDLES, MORE, contours, examples, extent, face, oracle, random, randoms,
 };
 use super::{
-    CompiledRest, Folds, GridSpec, Limits, Method, OutputSpec, PosedMesh, ResolvedRest, RestSpec,
-    Warning, WarpError,
+    CompiledRest, Folds, GridSpec, Limits, Method, OutputSpec, PosedMesh, Quantity, ResolvedRest,
+    RestSpec, Warning, WarpError,
 };
 use crate::codec::Format;
 use crate::deform::Handle;
@@ -338,7 +338,7 @@ fn a_tiff_that_32_bit_offsets_cannot_address_is_too_large() {
     assert_eq!(
         check(Format::Tiff),
         Err(WarpError::TooLarge {
-            what: "output_pixels",
+            what: Quantity::OutputPixels,
             limit,
             actual: 900_000_000
         })

@@ -7,7 +7,7 @@ use super::Transform;
 use crate::deform::IsCancelled;
 use crate::geometry::Point;
 use crate::parallel::prelude::*;
-use crate::warp::{Task, WarpError};
+use crate::warp::{Quantity, Task, WarpError};
 
 /// Edges that one task maps.
 const EDGES_PER_TASK: usize = 16;
@@ -231,7 +231,7 @@ impl Transform<'_> {
         let samples = self.samples.fetch_add(count, Ordering::Relaxed) + count;
         if samples > MAX_EDGE_SAMPLES {
             return Err(WarpError::TooLarge {
-                what: "outline_samples",
+                what: Quantity::OutlineSamples,
                 limit: MAX_EDGE_SAMPLES as u64,
                 actual: MAX_EDGE_SAMPLES as u64 + 1,
             });

@@ -2,7 +2,7 @@ use super::outlines::to_segment;
 use super::*;
 use crate::deform::Handle;
 use crate::pixmap::Extent;
-use crate::warp::{Folds, GridSpec, Limits, PosedMesh, RestSpec};
+use crate::warp::{Folds, GridSpec, Limits, PosedMesh, Quantity, RestSpec};
 
 const NEVER: IsCancelled<'static> = &|| false;
 
@@ -276,7 +276,7 @@ fn work_is_bounded_and_positions_are_checked() {
         matches!(
             error,
             WarpError::TooLarge {
-                what: "outline_samples",
+                what: Quantity::OutlineSamples,
                 ..
             }
         ),

@@ -1,9 +1,9 @@
 //! What handles hold of a mesh: points, and lines at every cell.
 
 use super::mesh::LatticeMesh;
-use crate::deform::DeformError;
 use crate::deform::groups::coincidence_distance;
 use crate::deform::point_map::MeshInput;
+use crate::deform::{DeformError, MeshQuantity};
 use crate::geometry::Point;
 use crate::topology::HANDLE_TO_MASK_PX;
 
@@ -37,7 +37,7 @@ pub(super) fn held_positions(
     let count = sources.points.len() as f64 + of_segments;
     if count > MAX_HELD as f64 {
         return Err(DeformError::MeshTooLarge {
-            what: "arap_positions",
+            what: MeshQuantity::Positions,
             limit: MAX_HELD,
             #[expect(
                 clippy::cast_possible_truncation,

@@ -6,7 +6,7 @@ use super::part::{
     KEPT_ANCHORS, OrderedPart, PartCost, QuadAnchor, QuadMesh, QuadShape, RigidPart,
 };
 use crate::deform::point_map::MeshInput;
-use crate::deform::{DeformError, Warning};
+use crate::deform::{DeformError, MeshQuantity, Warning};
 use crate::geometry::Vec2;
 
 /// Multiplications of a linear system that an operation takes.
@@ -116,8 +116,8 @@ fn check_cost(
     let operations = cost.multiplications / MULTIPLICATIONS_PER_OPERATION;
     let most_bytes = bytes_of(vertices as u64, held as u64);
     let limits = [
-        ("arap_bytes", most_bytes, cost.bytes),
-        ("arap_operations", most_operations, operations),
+        (MeshQuantity::Bytes, most_bytes, cost.bytes),
+        (MeshQuantity::Operations, most_operations, operations),
     ];
     match limits.into_iter().find(|(_, limit, actual)| actual > limit) {
         Some((what, limit, actual)) => Err(DeformError::MeshTooLarge {
