@@ -129,9 +129,7 @@ impl fmt::Display for WarpError {
                     {limit} px",
                 DisplayNumber(*value)
             ),
-            Self::Cancelled => {
-                f.write_str("cancelled: the result is no longer wanted")
-            }
+            Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
             Self::TooLarge {
                 what,
                 limit,
@@ -156,18 +154,13 @@ impl fmt::Display for WarpError {
                 "methods are compared on at least {least} distinct points; found {actual}"
             ),
             Self::UnusedMask => f.write_str(
-                "a threshold of the mask does not apply: neither the metric nor the method has a mask",
+                "a threshold of the mask does not apply: metric and method have no mask",
             ),
-            Self::NoImage => {
-                f.write_str("the metric needs the mask of an image")
+            Self::NoImage => f.write_str("the metric needs the mask of an image"),
+            Self::CutBorder => {
+                f.write_str("an image cannot be continued beyond the outline that its grid follows")
             }
-            Self::CutBorder => f.write_str(
-                "an image cannot be continued beyond the outline that its grid follows",
-            ),
-            Self::CutGrid { what } => write!(
-                f,
-                "{what} needs a grid that is not cut along a mask"
-            ),
+            Self::CutGrid { what } => write!(f, "{what} needs a grid that is not cut along a mask"),
             Self::NoTable { reason } => f.write_str(reason),
             Self::BadGrid(error) => error.fmt(f),
             Self::LabelFormat { format } => write!(
@@ -191,17 +184,13 @@ impl fmt::Display for WarpError {
                 "the value {value} outside exceeds {most}, the largest of an image of {} bits",
                 if *most > 255 { 16 } else { 8 }
             ),
-            Self::OutsideOfLabels => {
-                f.write_str("outside, labels are 0, and no other value")
-            }
+            Self::OutsideOfLabels => f.write_str("outside, labels are 0, and no other value"),
             Self::Folded { cells } => write!(
                 f,
                 "the warp folds over itself in {cells} {} of the grid",
                 if *cells == 1 { "cell" } else { "cells" }
             ),
-            Self::NothingVisible => {
-                f.write_str("the posed picture has no area")
-            }
+            Self::NothingVisible => f.write_str("the posed picture has no area"),
         }
     }
 }
@@ -235,7 +224,7 @@ impl From<PixelError> for WarpError {
 /// What is wrong with a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GridError {
-    /// A tolerance out of [`GridSpec::TOLERANCE_RANGE_PX`](super::GridSpec::TOLERANCE_RANGE_PX), px.
+    /// A tolerance out of [`GridSpec::TOLERANCE_RANGE_PX`], px.
     Tolerance(f64),
     /// The side of a cell, which is no positive number, px.
     Cell(f64),
