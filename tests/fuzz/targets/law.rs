@@ -107,7 +107,9 @@ pub(super) fn hold(bytes: &[u8]) {
     ]);
 
     let (displacement, quality) =
-        CoefficientTable::of_vertices(&field, vertices.len(), |k| vertices[k]).displace(&pose);
+        CoefficientTable::of_vertices(&field, vertices.len(), |k| vertices[k])
+            .displace(&pose, &|| false)
+            .unwrap();
     let farthest = pose
         .displacements()
         .iter()
