@@ -1,7 +1,7 @@
 //! Returns freed memory to the system. glibc keeps it in the arenas of threads and trims only the
 //! end of the first one: after a minute of mixed requests 27 MiB were in use and 150 to 200
-//! resident. With few arenas, mapped large blocks and regular trimming 41 MiB are resident. When the
-//! budget is nearly used, it is trimmed more often.
+//! resident. With few arenas, mapped large blocks and regular trimming 41 MiB are resident. When
+//! the budget is nearly used, it is trimmed more often.
 
 use std::ffi::c_int;
 use std::num::NonZero;

@@ -325,6 +325,30 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
+            Self::EmptyMask
+            | Self::OutsideMask { .. }
+            | Self::MaskTooLarge { .. }
+            | Self::MaskTooWinding { .. }
+            | Self::NoMetric { .. }
+            | Self::TooManyVertices { .. }
+            | Self::MeshTooLarge { .. }
+            | Self::NeedsMask { .. } => self.write_about_mask(f),
+            Self::NotTaken {
+                handle,
+                method,
+                reason,
+            } => reason.write(f, *handle, method),
+            Self::AlphaOutOfRange { alpha, lines } => {
+                outside(f, "alpha", *alpha, alpha_rule(*lines))
+            }
+        }
+    }
+}
+
+impl DeformError {
+    /// The sentences about a mask, its metric and its mesh.
+    fn write_about_mask(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
             Self::EmptyMask => f.write_str("no pixel of the image is inside the mask"),
             Self::OutsideMask { handle } => {
                 write!(f, "handle {handle} is more than 3 px outside the mask")
@@ -353,14 +377,7 @@ impl fmt::Display for DeformError {
             Self::NeedsMask { method } => {
                 write!(f, "the method {method} needs the mask of an image")
             }
-            Self::NotTaken {
-                handle,
-                method,
-                reason,
-            } => reason.write(f, *handle, method),
-            Self::AlphaOutOfRange { alpha, lines } => {
-                outside(f, "alpha", *alpha, alpha_rule(*lines))
-            }
+            _ => Ok(()),
         }
     }
 }
