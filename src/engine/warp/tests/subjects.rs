@@ -15,7 +15,7 @@ use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::{Canvas, InverseMap};
 use crate::warp::{
     CanvasSpec, CoordinateMap, Folds, LabelImage, Limits, MapDirection, MapFormat, MapSpec,
-    OutputSpec, PosedMesh, RasterSource, RenderJob, ResolvedRest, WarpError,
+    OutputSpec, PosedMesh, Quantity, RasterSource, RenderJob, ResolvedRest, WarpError,
 };
 
 /// Discs and stripes of 16-bit labels.
@@ -374,10 +374,13 @@ fn maps_over_the_limits_are_refused_before_anything_is_posed() {
         other => panic!("{other:?}"),
     };
     let large = extent(16_384, 16_384);
-    assert_eq!(refused(MapSpec::default(), large), ("map_pixels", 1 << 28));
+    assert_eq!(
+        refused(MapSpec::default(), large),
+        (Quantity::MapPixels, 1 << 28)
+    );
     assert_eq!(
         refused(MapSpec::default(), extent(16_385, 1)),
-        ("map_side", 16_385)
+        (Quantity::MapSide, 16_385)
     );
     assert_eq!(
         refused(
@@ -388,7 +391,7 @@ fn maps_over_the_limits_are_refused_before_anything_is_posed() {
             extent(100, 100)
         )
         .0,
-        "output_pixels"
+        Quantity::OutputPixels
     );
     let canvas = CanvasSpec::Box(Canvas {
         x: 0,
@@ -404,7 +407,7 @@ fn maps_over_the_limits_are_refused_before_anything_is_posed() {
             extent(100, 100)
         )
         .0,
-        "canvas_pixels"
+        Quantity::CanvasPixels
     );
     assert_eq!(
         MapSpec::default().check(extent(7000, 7000), &Limits::default()),

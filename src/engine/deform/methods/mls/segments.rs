@@ -201,7 +201,8 @@ impl<const N: usize> View<N> {
         many: bool,
     ) -> [f64; 3] {
         // The two sides of the nearest position are integrated apart, away from it: panels grow
-        // with the distance, so that no panel is longer than its distance from v.
+        // with the distance, so that no panel is longer than its distance from v. The side towards
+        // a is as long as the share of b at the nearest position, and the other way round.
         let h = self.off[k] / s.length;
         let sight = Sight {
             beyond: self.beyond[k].abs(),
