@@ -1,0 +1,42 @@
+#!/usr/bin/env python3
+"""Times of builds: from scratch, and after a change of one method, one route, one sentence.
+
+    tests/bench/build_times.py [--dev]
+
+Builds the program in a folder of its own, which is removed afterwards. A change is a new time of a
+file, for which cargo compiles the same crates as for a new line in it. Run it on an idle machine.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CHANGES = {
+    "one method": "src/engine/deform/methods/global_affine.rs",
+    "one sentence": "src/contract/problem/sentences.rs",
+    "one route": "src/server/http/routes/warp.rs",
+}
+
+
+def build(folder, profile):
+    began = time.monotonic()
+    command = ["cargo", "build", "--quiet", "--locked", "-p", "mlswarp-server", *profile]
+    subprocess.run([*command, "--target-dir", folder], cwd=ROOT, check=True)
+    return time.monotonic() - began
+
+
+def main():
+    profile = [] if "--dev" in sys.argv[1:] else ["--release"]
+    with tempfile.TemporaryDirectory() as folder:
+        print(f"build: from scratch: {build(folder, profile):.1f} s")
+        for name, path in CHANGES.items():
+            os.utime(ROOT / path)
+            print(f"build: after a change of {name} ({path}): {build(folder, profile):.1f} s")
+
+
+if __name__ == "__main__":
+    main()
