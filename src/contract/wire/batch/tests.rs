@@ -5,6 +5,7 @@ use mlswarp::render::Canvas;
 use mlswarp::warp::Units;
 
 use super::*;
+use crate::wire::AsJson;
 
 fn free(_: u64) -> Result<(), Problem> {
     Ok(())
