@@ -15,6 +15,7 @@ import { known } from "./dom.js";
  *   detail?: string,
  *   handle?: number,
  *   coincident?: { handles: number[] }[],
+ *   items?: string[][],
  *   pointer?: string,
  *   request_id?: string,
  *   retry_after?: number,
@@ -43,6 +44,8 @@ export class Problem extends Error {
     this.handle = undefined;
     /** @type {ProblemMembers["coincident"]} */
     this.coincident = undefined;
+    /** @type {ProblemMembers["items"]} */
+    this.items = undefined;
     /** @type {ProblemMembers["pointer"]} */
     this.pointer = undefined;
     /** @type {ProblemMembers["request_id"]} */
@@ -284,20 +287,32 @@ export const points = async (id, body, signal) =>
 
 /**
  * The handles in a landmark file: { p, q (if the file has both sides), names (if it has any), units }.
- * @type {(file: Blob) => Promise<Page.Landmarks>}
+ * `item`: which of several; `extent`: the size of the picture.
+ * @param {Blob} file
+ * @param {{ item?: number, extent?: Page.Size }} [how]
+ * @returns {Promise<Page.Landmarks>}
  */
-export const readLandmarks = async (file) => jsonOf(await ask("POST", "landmarks", { file }));
+export async function readLandmarks(file, { item, extent } = {}) {
+  const query = new URLSearchParams({
+    ...(item !== undefined && { item: String(item) }),
+    ...(extent && { extent_p: extent.join() }),
+  });
+  return jsonOf(await ask("POST", `landmarks${query.size ? `?${query}` : ""}`, { file }));
+}
 
 /**
- * The handles of two landmark files, one for each side: { p, q, units }.
+ * The handles of two landmark files, one for each side: { p, q, units }. `extent`: the size of the
+ * picture.
  * @param {Blob} rest
  * @param {Blob} pose
+ * @param {Page.Size} [extent]
  * @returns {Promise<Page.Landmarks & { q: Page.Landmarks["p"] }>}
  */
-export async function readSides(rest, pose) {
+export async function readSides(rest, pose, extent) {
   const form = new FormData();
   form.append("landmarks_p", rest);
   form.append("landmarks_q", pose);
+  if (extent) for (const side of ["p", "q"]) form.append(`extent_${side}`, extent.join());
   return jsonOf(await ask("POST", "landmarks", { file: form }));
 }
 

@@ -3,8 +3,12 @@
 
 import * as api from "./api.js";
 import { find, known, listen, text } from "./dom.js";
+import { restOf } from "./edits.js";
 import { paired } from "./files.js";
+import { chooseItem, indexOfItem, landmarksOf } from "./landmarks.js";
+import { METHODS } from "./methods.js";
 import { blendLine, copy, save, stem } from "./share.js";
+import { emptyDocument } from "./state.js";
 import { BLEND, bytes, problemWords } from "./words.js";
 
 /** Width of the picture in the dialog, px. */
@@ -13,9 +17,11 @@ const PREVIEW = 640;
 const MOST = 200;
 const MOST_FRAMES = 1000;
 /**
- * Landmarks are close together, and pictures differ in size: what is smooth then, and scales.
+ * Landmarks are close together, and pictures differ in size: what is smooth then, and scales; and
+ * the focus of methods that have one.
  */
-const METHOD = { method: "affine", alpha: 2 };
+const METHOD = "affine";
+const ALPHA = 2;
 /**
  * The files that can be saved: their media types, and what of them is no picture.
  * @type {Record<string, { media: string, end: string, format?: "jpeg", frames?: boolean }>}
@@ -29,7 +35,8 @@ const FILES = {
 };
 
 /**
- * A picture. `p` in px, once it is uploaded; `wrong`: why it is not used.
+ * A picture. `p` in px, once it is uploaded; `chosen`: which item of the landmark file, if it has
+ * several; `wrong`: why it is not used.
  *
  * @typedef {{
  *   file: File,
@@ -38,6 +45,7 @@ const FILES = {
  *   size: Page.Size,
  *   p: Page.WireHandle[],
  *   names: string[] | null,
+ *   chosen?: number,
  *   wrong: string,
  *   address: string,
  * }} Item
@@ -105,12 +113,21 @@ export class BlendDialog {
     });
     listen("blend-shape", "input", ({ value }) => this.#slide({ shape: Number(value) / 100 }));
     listen("blend-colour", "input", ({ value }) => this.#slide({ colour: Number(value) / 100 }));
+    // A mesh is of one picture.
+    const methods = METHODS.filter(({ mesh }) => !mesh);
+    find("blend-method").append(...methods.map(({ name, title }) => new Option(title, name)));
+    find("blend-method").value = METHOD;
     listen("blend-together", "change", () => this.#slide({ shape: this.#shape }));
     find("blend-average").addEventListener("click", () => {
       this.#isMoved = false;
       this.#changed();
     });
-    for (const id of /** @type {const} */ (["blend-mirror", "blend-linear", "blend-file"]))
+    for (const id of /** @type {const} */ ([
+      "blend-mirror",
+      "blend-linear",
+      "blend-file",
+      "blend-method",
+    ]))
       find(id).addEventListener("change", () => this.#changed());
     find("blend-frames").addEventListener("input", () => this.#changed());
     find("blend-form").addEventListener("submit", (event) => {
@@ -236,6 +253,19 @@ export class BlendDialog {
     return FILES[find("blend-file").value];
   }
 
+  /**
+   * Whether a method takes the landmarks of the pictures.
+   * @param {Page.MethodInfo} method
+   */
+  #takes({ handles }) {
+    const isLine = this.#used.flatMap(({ p }) => p).map((handle) => Array.isArray(handle?.[0]));
+    return handles === "all" || isLine.every((line) => line === (handles === "lines"));
+  }
+
+  get #method() {
+    return known(METHODS.find(({ name }) => name === find("blend-method").value));
+  }
+
   /** Uploads what is not uploaded yet, one after the other. */
   async #upload() {
     if (this.#isUploading) return;
@@ -246,6 +276,10 @@ export class BlendDialog {
       try {
         await this.#open(item, known(item.landmarks));
       } catch (error) {
+        if (api.wasAborted(error)) {
+          item.landmarks = null;
+          continue;
+        }
         const problem = api.asProblem(error);
         // Neither the picture nor its landmarks are at fault.
         if (!FAULTS.has(problem.code)) {
@@ -268,14 +302,27 @@ export class BlendDialog {
   async #open(item, landmarks) {
     if (item.file.size > this.limits.body)
       throw new api.Problem({ code: "too_large", detail: BLEND.large(this.limits.body) }, 0);
-    const { p, q, names, units } = await api.readLandmarks(landmarks).catch((error) => {
-      if (error instanceof api.Problem)
-        error.detail = error.detail.replace(/^landmarks, /, `In ${landmarks.name}, `);
-      throw error;
-    });
+    /** @type {Page.SessionObject[]} */
+    const sized = []; // one without handles, where a file needs the size of its picture
+    /** @type {number | undefined} */
+    let chosen;
+    const { p, q, names, units } = await landmarksOf(
+      landmarks,
+      {
+        name: item.file.name,
+        size: async () => {
+          const rest = restOf(emptyDocument());
+          sized.push(await api.openSession(item.file, item.file.name, rest, {}));
+          return [sized[0].image.width, sized[0].image.height];
+        },
+      },
+      async (...asked) => (chosen = await this.#choose(landmarks, ...asked)),
+    );
     if (q) throw new api.Problem({ code: "bad_landmarks", detail: BLEND.bothSides }, 0);
     const rest = /** @type {Page.Json} */ ({ p, units });
-    const { id, image } = await api.openSession(item.file, item.file.name, rest, {});
+    const { id, image } = sized.length
+      ? await api.putHandles(sized[0].id, rest)
+      : await api.openSession(item.file, item.file.name, rest, {});
     const scale = units === "normalized" ? [image.width, image.height] : [1, 1];
     /** @type {(place: Page.Place) => Page.Place} */
     const px = ([x, y]) => [x * scale[0], y * scale[1]];
@@ -287,7 +334,24 @@ export class BlendDialog {
       typeof handle?.[0] === "number" ? px(handle) : (handle?.map(px) ?? null),
     );
     item.names = names ?? null;
+    item.chosen = chosen;
     item.session = id;
+  }
+
+  /**
+   * Which item of a landmark file belongs to a picture: that of its name, otherwise the user's
+   * choice. Other pictures without landmarks that the file names have theirs in it too.
+   * @param {File} landmarks
+   * @param {string} file
+   * @param {string[][]} items
+   * @param {string} picture
+   */
+  #choose(landmarks, file, items, picture) {
+    for (const other of this.#items)
+      if (!other.landmarks && indexOfItem(items, other.file.name) >= 0)
+        this.#give(other, landmarks);
+    const own = indexOfItem(items, picture);
+    return own < 0 ? chooseItem(file, items, picture) : own;
   }
 
   /**
@@ -316,14 +380,15 @@ export class BlendDialog {
       (isMirrored || used.some(({ names }) => String(names) !== String(first.names)));
     const images = used.flatMap((item, k) => {
       const source = ofFiles
-        ? { image: k }
+        ? { image: k, ...(item.chosen !== undefined && { item: item.chosen }) }
         : { session: item.session, ...(isNamed && { p: item.p, names: item.names }) };
       const entry = { ...source, shape: of(shape, k), colour: of(colour, k) };
       return isMirrored ? [entry, { ...entry, mirror: true }] : [entry];
     });
     return {
       images,
-      ...METHOD,
+      method: this.#method.name,
+      ...(this.#method.parameters.some(({ name }) => name === "alpha") && { alpha: ALPHA }),
       ...(find("blend-linear").checked && { space: "linear" }),
       ...(Object.keys(output).length && { output }),
     };
@@ -416,6 +481,12 @@ export class BlendDialog {
     }
     find("blend-average").disabled = !hasOthers;
     text("blend-note", can ? BLEND.note(used.map(({ file }) => file.name)) : "");
+    for (const option of find("blend-method").options) {
+      const method = known(METHODS.find(({ name }) => name === option.value));
+      option.disabled = !this.#takes(method);
+      if (option.disabled && option.selected) find("blend-method").value = METHOD;
+    }
+    text("blend-method-note", this.#method.sentence);
     const hasFrames = Boolean(this.#file.frames);
     find("blend-frames-row").hidden = !hasFrames;
     find("blend-frames").max = String(MOST_FRAMES);

@@ -3,10 +3,11 @@
 // what is expected.
 
 import { CLASSES } from "./align.js";
-import { Problem, readLandmarks, readSides } from "./api.js";
+import { Problem } from "./api.js";
 import { infoOf, massOf, near, takesLinesOnly, takesPinsOnly } from "./edits.js";
 import { METHODS } from "./methods.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
+import { landmarksOf, sidesOf } from "./landmarks.js";
 import { decodeParts } from "./region.js";
 import { pinOf } from "./twist.js";
 
@@ -18,11 +19,12 @@ const FILTERS = ["nearest", "bilinear", "bicubic"];
 /**
  * The handles of a file: { name, document, warp, missing: how many have no position }. The
  * positions of a normalised file are shares of the picture's size; `warp` then makes the document
- * for a picture (`scaled`), and is otherwise null. Throws a Problem.
+ * for a picture (`scaled`), and is otherwise null. Throws a Problem, or as `landmarksOf`.
  * @param {File} file
+ * @param {import("./landmarks.js").OfPicture | null} picture
  * @returns {Promise<Page.HandlesFile>}
  */
-export async function readHandles(file) {
+export async function readHandles(file, picture) {
   /** @type {(detail: string) => Problem} */
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
   const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
@@ -45,7 +47,7 @@ export async function readHandles(file) {
   try {
     if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
     if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length))
-      return ready(await landmarks(file));
+      return ready(await landmarks(file, picture));
     const read = ready(parsed.value);
     await decodeParts(read.document.region ?? []).catch(() =>
       demand(false, "/region", "the mask of a region, a PNG in base64,"),
@@ -69,13 +71,14 @@ const isTable = (file) =>
 /**
  * The handles of two landmark files: rest and pose.
  * @param {File[]} files
+ * @param {import("./landmarks.js").OfPicture | null} picture
  * @returns {Promise<Page.HandlesFile>}
  */
-export async function readBoth(files) {
+export async function readBoth(files, picture) {
   const names = files.map(({ name }) => name);
   try {
-    const [rest, pose] = await Promise.all(files.map(sideOf));
-    const { p, q, units } = await readSides(rest, pose);
+    const sides = await Promise.all(files.map(sideOf));
+    const { p, q, units } = await sidesOf(files, sides, picture);
     const isNormalized = units === "normalized";
     const document = { ...documentFrom({ p, q }), sides: names };
     return {
@@ -115,17 +118,12 @@ async function sideOf(file) {
 /**
  * A landmark file as a warp object.
  * @param {File} file
+ * @param {import("./landmarks.js").OfPicture | null} picture
  * @returns {Promise<Page.Landmarks>}
  */
-async function landmarks(file) {
-  try {
-    const { p, q, units } = await readLandmarks(file);
-    return { p, ...(q && { q }), units };
-  } catch (error) {
-    if (error instanceof Problem)
-      error.detail = error.detail.replace(/^landmarks, /, `In ${file.name}, `);
-    throw error;
-  }
+async function landmarks(file, picture) {
+  const { p, q, units } = await landmarksOf(file, picture);
+  return { p, ...(q && { q }), units };
 }
 
 /**

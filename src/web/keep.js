@@ -69,9 +69,14 @@ export class Keeper {
     this.told = told;
     store.subscribe((state, previous) => {
       if (
-        /** @type {const} */ (["document", "picture", "past", "earlier", "later"]).every(
-          (name) => state[name] === previous[name],
-        )
+        /** @type {const} */ ([
+          "document",
+          "picture",
+          "past",
+          "earlier",
+          "later",
+          "annotations",
+        ]).every((name) => state[name] === previous[name])
       )
         return;
       clearTimeout(this.#timer);
@@ -96,7 +101,8 @@ export class Keeper {
         past: lastly(picture.past),
         future: picture.future?.slice(0, steps),
         source: undefined,
-        annotations: undefined,
+        // They are a file of their own.
+        annotations: picture.annotations && { ...picture.annotations, geojson: undefined },
       });
       return JSON.stringify({
         ...short(open),
@@ -155,6 +161,17 @@ export async function keepFile(blob, name, needed) {
   } catch {
     return null;
   }
+}
+
+/**
+ * Annotations as they were: after a reload, those of the stored file; null if it is gone.
+ * @param {Page.Annotations | null | undefined} annotations
+ * @returns {Promise<Page.Annotations | null>}
+ */
+export async function keptAnnotations(annotations) {
+  if (!annotations || annotations.geojson !== undefined) return annotations ?? null;
+  const file = await keptFile(annotations.key);
+  return file && { ...annotations, geojson: JSON.parse(await file.blob.text()) };
 }
 
 /**

@@ -8,7 +8,8 @@ import { known } from "./dom.js";
 import { alphaOf, hasFocus, ownIn, restOf, sameRest } from "./edits.js";
 import { sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
-import { keepFile, keptFile } from "./keep.js";
+import { keepFile, keptAnnotations, keptFile } from "./keep.js";
+import { NeedsPicture } from "./landmarks.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { readProject } from "./project.js";
 import { maskPart, regionOf, sizeOfMask } from "./region.js";
@@ -73,6 +74,28 @@ export class Opener {
     this.limits = limits;
     this.told = told;
     this.toast = toast;
+    store.subscribe(({ annotations }, previous) => {
+      if (annotations && annotations !== previous.annotations) this.#keep(annotations);
+    });
+  }
+
+  /** The keys of the stored files that must stay. */
+  get #needed() {
+    const { state } = this.store;
+    const open = [this.fileKey, state.annotations?.key];
+    return [...filesOf(state), ...open.filter((key) => key !== null && key !== undefined)];
+  }
+
+  /**
+   * Stores annotations beside their picture.
+   * @param {Page.Annotations} annotations
+   */
+  async #keep(annotations) {
+    if (annotations.key !== undefined) return;
+    annotations.key = null; // not stored yet
+    const blob = new Blob([JSON.stringify(annotations.geojson)], { type: "application/geo+json" });
+    annotations.key = await keepFile(blob, annotations.name, this.#needed);
+    this.told();
   }
 
   cancel() {
@@ -114,7 +137,8 @@ export class Opener {
     else {
       try {
         if (handles.length) {
-          const read = await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0]));
+          const { picture: open } = this.store.state;
+          const read = await this.#read(handles, picture ? null : open);
           await this.#take({ handles: read }, Boolean(picture));
         }
         if (annotations) {
@@ -122,7 +146,8 @@ export class Opener {
           await this.#take({ annotations: read }, Boolean(picture));
         }
       } catch (problem) {
-        return this.#refuse(problem);
+        if (!api.wasAborted(problem)) this.#refuse(problem);
+        return;
       }
       if (picture) await this.file(picture, picture.name || "pasted.png");
       else if (!handles.length && !annotations)
@@ -152,9 +177,33 @@ export class Opener {
     else if (annotations) this.toast(`${annotations.name} follows the warp`);
   }
 
+  /**
+   * Reads the handles of one file or two; later, if only the picture tells what the server asks.
+   * @param {File[]} files
+   * @param {Page.Picture | null} picture
+   * @returns {Promise<Page.HandlesFile>}
+   */
+  async #read(files, picture) {
+    /** @type {import("./landmarks.js").OfPicture | null} */
+    const of = picture && {
+      name: picture.name,
+      size: () => [picture.width, picture.height],
+    };
+    try {
+      return await (files.length > 1 ? readBoth(files, of) : readHandles(files[0], of));
+    } catch (error) {
+      if (!(error instanceof NeedsPicture)) throw error;
+      const name = files.map((file) => file.name).join(" and ");
+      return { name, document: emptyDocument(), warp: null, missing: 0, later: files };
+    }
+  }
+
   /** @param {Page.HandlesFile} file */
-  async #useHandles({ name, document, warp, missing }) {
+  async #useHandles(file) {
     const picture = known(this.store.state.picture);
+    const { name, document, warp, missing } = file.later
+      ? await this.#read(file.later, picture)
+      : file;
     const placed = warp ? scaled(warp, picture) : document;
     const own = placed.align ? await aligned(placed, placed.align.by, picture) : placed;
     const { picture: now, document: before } = this.store.state;
@@ -370,7 +419,7 @@ export class Opener {
     this.view.resized(); // only now the stage is visible and has a size
     this.#leaveLink(link);
     this.fileKey = fileKey ?? null;
-    const stored = fileKey ?? (await keepFile(source.blob, source.name, filesOf(this.store.state)));
+    const stored = fileKey ?? (await keepFile(source.blob, source.name, this.#needed));
     // Meanwhile another picture may have been opened, or this one closed.
     if (this.sync.file === source) this.fileKey = stored;
     this.told();
@@ -502,13 +551,16 @@ export class Opener {
       }
       const borrowed = kept.borrowed && Boolean(object);
       object ??= await this.#upload(known(file).blob, known(file).name, kept.document, signal);
+      const annotations = await keptAnnotations(kept.annotations);
       await this.#use(
         object,
         kept.document,
         file,
-        { ...kept, borrowed, fileKey: file ? kept.file : null, history },
+        { ...kept, annotations, borrowed, fileKey: file ? kept.file : null, history },
         signal,
       );
+      if (kept.annotations && !annotations)
+        this.toast(`${kept.annotations.name} is not stored any more: open it again`);
     });
   }
 }

@@ -43,4 +43,6 @@ export function without({ earlier, later }, gone) {
  * @type {(history: Page.History) => IDBValidKey[]}
  */
 export const filesOf = ({ earlier, later }) =>
-  [...earlier, ...later].map((p) => p.file).filter((key) => key !== null && key !== undefined);
+  [...earlier, ...later]
+    .flatMap((p) => [p.file, p.annotations?.key])
+    .filter((key) => key !== null && key !== undefined);

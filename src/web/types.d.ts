@@ -118,9 +118,17 @@ declare namespace Page {
     linked?: boolean;
   };
   /** GeoJSON over the picture, and the name of its file. */
-  type Annotations = { name: string; geojson: Json };
+  /** GeoJSON; `key`: that of the stored file. */
+  type Annotations = { name: string; geojson: Json; key?: IDBValidKey | null };
   /** Handles of a file: of a document or, in shares of the picture's size, of a warp object. */
-  type HandlesFile = { name: string; document: Document; warp: Json; missing: number };
+  type HandlesFile = {
+    name: string;
+    document: Document;
+    warp: Json;
+    missing: number;
+    /** The files, if only the picture tells how they are read; the others are empty then. */
+    later?: File[];
+  };
   type Waiting = { handles?: HandlesFile | null; annotations?: Annotations | null };
   type Animation = {
     easing: "linear" | "ease-in-out";
@@ -150,6 +158,7 @@ declare namespace Page {
   };
   type Start = {
     picture: null;
+    annotations?: undefined;
     document?: undefined;
     past?: undefined;
     future?: undefined;

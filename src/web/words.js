@@ -452,6 +452,18 @@ export const BLEND = {
     `Blend of ${names.length > 4 ? count(names.length, "picture") : series(names)}${isMirrored ? " and mirror images" : ""}: shape ${Math.round(100 * shape)} %, colours ${Math.round(100 * colour)} %`,
 };
 
+/** Texts about landmark files with several specimens, images, persons or rows. */
+export const ITEMS = {
+  /** @type {(names: string[], k: number) => string} */
+  label: (names, k) => {
+    const longest = names.filter((name) => !names.some((n) => n !== name && n.includes(name)));
+    return [`${k + 1}.`, ...longest].join(" ");
+  },
+  /** @type {(file: string, n: number, picture: string) => string} */
+  note: (file, n, picture) =>
+    `${file} has landmarks of ${n}. Choose those that belong to ${picture}.`,
+};
+
 /** Texts of the export as an animation. */
 export const ANIMATION = {
   /** @type {Record<Page.Animation["file"], (back: boolean) => string>} */
@@ -536,7 +548,10 @@ export const HINTS = {
 /** @param {Page.Waiting} waiting */
 export function waitingWords({ handles, annotations }) {
   const parts = [
-    handles && `${handles.name} has ${count(handles.document.handles.length, "handle")}.`,
+    handles?.later && `${handles.name} ${handles.later.length > 1 ? "have" : "has"} landmarks.`,
+    handles &&
+      !handles.later &&
+      `${handles.name} has ${count(handles.document.handles.length, "handle")}.`,
     annotations && `${annotations.name} has annotations.`,
   ];
   const isOne = !annotations && handles?.document.handles.length === 1;

@@ -89,6 +89,41 @@ def test_two_pictures_are_averaged_and_the_sliders_lead_to_either(open_dialog, f
     assert largest(blended(visit), average) == 0
 
 
+def test_one_file_has_the_landmarks_of_all_pictures(visit, faces):
+    """tpsDig writes one file for a folder of pictures; y is up."""
+    visit.expects("422")
+    specimen = "LM=5\n{}\nIMAGE={}\nID={}\n"
+    rows = ["\n".join(f"{x} {300 - y}" for x, y in places) for places in (FIRST, SECOND)]
+    names = ("anna.jpg", "bert.jpg")
+    text = "".join(specimen.format(row, name, k) for k, (row, name) in enumerate(zip(rows, names)))
+    (faces / "faces.tps").write_text(text)
+    visit.page.click("#blend-open")
+    visit.page.set_input_files("#blend-files", files(faces, "anna.png", "bert.png", "faces.tps"))
+    average = blended(visit)
+    assert visit.text("blend-said-of") == "2 pictures, 5 landmarks each."
+    # As with a file for each.
+    for name in ("anna.pts", "bert.pts"):
+        visit.page.set_input_files("#blend-files", files(faces, name))
+        blended(visit)
+    visit.page.wait_for_selector("#blend-list small:text-matches('from bert.pts')")
+    assert largest(blended(visit), average) <= 1
+
+
+def test_another_method_makes_another_picture(open_dialog):
+    visit = open_dialog
+    usual = blended(visit)
+    assert visit.page.input_value("#blend-method") == "affine"
+    options = visit.page.locator("#blend-method option")
+    usable = [name for name in options.all_inner_texts() if name != "Morph"]
+    assert usable == ["Rigid", "Similarity", "Affine", "Spline", "Global"]
+    assert options.filter(has_text="Morph").is_disabled()
+    visit.page.select_option("#blend-method", "tps")
+    assert visit.text("blend-method-note").startswith("Bends the whole picture")
+    assert largest(blended(visit), usual) > 50
+    visit.page.select_option("#blend-method", "affine")
+    assert largest(blended(visit), usual) == 0
+
+
 def test_a_slider_that_moves_fast_shows_the_last_value(open_dialog):
     visit = open_dialog
     for share in range(-50, 151, 10):

@@ -7,7 +7,7 @@ import json
 import pytest
 from PIL import Image
 
-from support import BLUE, GREEN, RED, near, tell
+from support import BLUE, GREEN, RED, Server, near, tell
 
 REST, POSE = [RED, GREEN, BLUE], [(120, 110), (330, 100), (190, 250)]
 SQUARE = [[80, 80], [120, 80], [120, 120], [80, 120], [80, 80]]
@@ -249,6 +249,121 @@ def test_annotations_wait_for_their_picture_and_survive_undo(visit, picture):
     visit.body("[data-state=empty]")
     visit.page.click("#undo")
     visit.body("[data-annotations=exact]")
+
+
+def test_annotations_survive_a_reload_with_and_without_their_session(visits, picture):
+    server = Server()
+    visit = visits(server, expects=("410", "404"))
+    visit.open(picture)
+    for k in range(5):  # more than the files that are kept besides those that are needed
+        drop(visit, (f"{k}.geojson", "", CELLS))
+        visit.page.wait_for_selector(f"#annotations-note:text-matches('{k}.geojson')")
+    visit.body("[data-annotations=exact]")
+    visit.page.wait_for_function(
+        '/"annotations":{"name":"4.geojson","key":\\d+}/.test(sessionStorage.mlswarp)'
+    )
+    before = drawn(visit)
+    visit.page.reload()
+    visit.body("[data-annotations=exact]").ready()
+    assert drawn(visit) == before
+    assert visit.text("annotations-note") == "4.geojson: 2 annotations, moved with the picture."
+    assert len(json.loads(visit.saved("annotations-save")[1])["features"]) == 2
+    server.ask("DELETE", f"/sessions/{visit['session']}")
+    visit.page.reload()
+    visit.body("[data-annotations=exact]").ready()
+    assert drawn(visit) == before
+    # What was removed stays away.
+    visit.page.click("#annotations-remove")
+    visit.page.reload()
+    visit.ready()
+    assert visit["annotations"] == "" and not visit.page.locator("#annotations-panel").is_visible()
+    server.stop()
+
+
+WINGS = b"""LM=2
+100 200
+320 210
+IMAGE=other.jpg
+ID=0
+LM=3
+100 199
+320 209
+200 79
+IMAGE=discs.jpg
+ID=1
+"""
+
+
+def chosen(visit):
+    """The names in the dialog, and the selected one."""
+    visit.page.wait_for_selector("#item[open]")
+    return (
+        visit.page.locator("#item-list option").all_inner_texts(),
+        int(visit.page.input_value("#item-list")),
+    )
+
+
+def test_a_file_of_several_specimens_asks_which(opened):
+    opened.expects("422")
+    drop(opened, ("wings.tps", "", WINGS))
+    assert chosen(opened) == (["1. other.jpg 0", "2. discs.jpg 1"], 1)
+    assert (
+        opened.text("item-note")
+        == "wings.tps has landmarks of 2. Choose those that belong to discs.png."
+    )
+    # y is up in this format: the height of the picture is 300.
+    opened.keys("Enter")
+    opened.body("[data-handles='3']").ready()
+    assert near(opened.posed(0), (100, 100), 1) and near(opened.posed(2), (200, 220), 1)
+    drop(opened, ("wings.tps", "", WINGS))
+    opened.page.select_option("#item-list", "0")
+    opened.page.click("#item-use")
+    opened.body("[data-handles='2']").ready()
+    # Closed without a choice, everything is as it was.
+    drop(opened, ("wings.tps", "", WINGS))
+    chosen(opened)
+    opened.keys("Escape")
+    opened.page.wait_for_selector("#item", state="hidden")
+    assert (opened["handles"], opened["problem"]) == ("2", "")
+
+
+def test_a_file_of_several_persons_waits_for_its_picture(visit, picture):
+    visit.expects("422")
+    persons = {
+        "images": [{"id": 1, "file_name": "a.png"}, {"id": 2, "file_name": "discs.png"}],
+        "annotations": [
+            {"id": k, "image_id": k, "category_id": 1, "keypoints": [10 * k, 20, 2, 30, 40, 2]}
+            for k in (1, 2)
+        ],
+        "categories": [{"id": 1, "keypoints": ["nose", "eye"]}],
+    }
+    drop(visit, ("coco.json", "", persons))
+    visit.page.wait_for_selector("#waiting")
+    assert (
+        visit.text("waiting-text")
+        == "coco.json has landmarks. Choose the picture or sample that they belong to."
+    )
+    visit.page.set_input_files("#file", picture)
+    assert chosen(visit)[1] == 1
+    visit.page.locator("#item-list option").nth(1).dblclick()
+    visit.body("[data-handles='2']").ready()
+    # Whole numbers are centres of pixels in this format.
+    assert near(visit.posed(0), (20.5, 20.5), 0.01)
+
+
+def test_rest_and_pose_are_chosen_one_after_the_other(opened):
+    opened.expects("422")
+    other = WINGS.replace(b"100 199", b"140 179").replace(b"discs", b"second")
+    drop(opened, ("a.tps", "", WINGS), ("b.tps", "", other))
+    assert chosen(opened)[1] == 1
+    opened.page.click("#item-use")
+    opened.page.wait_for_selector("#item-note:text-matches('b.tps has')")
+    assert chosen(opened)[1] == 0
+    opened.page.select_option("#item-list", "1")
+    opened.page.click("#item-use")
+    opened.body("[data-handles='3']").ready()
+    p, q = opened.warp()["p"][0], opened.warp()["q"][0]
+    assert near((q[0] - p[0], q[1] - p[1]), (40, 20), 0.01)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ use image::{DynamicImage, Rgba};
 use serde_json::{Value, json};
 
 use crate::support::bombs;
+use crate::support::counters::Counted as _;
 use crate::support::picture::{bmp, png_of};
 use crate::support::program::Program;
 use crate::support::server::{blend_form, form, problem};
@@ -201,6 +202,46 @@ async fn many_images_take_the_memory_of_a_few() {
         peaks.push(peak.saturating_sub(files as u64 >> 20));
     }
     assert!(peaks[1] < peaks[0] + 48, "{peaks:?}");
+}
+
+#[tokio::test]
+async fn coefficients_of_sessions_and_of_frames_are_computed_once() {
+    let server = Server::start(&[]).await;
+    let file = picture(0, png::BitDepth::Eight, false);
+    let mut ids = Vec::new();
+    for p in &SHAPES[..2] {
+        let id = server.session(&file, &json!({"p": p})).await;
+        let drawn = server.post(&format!("/sessions/{id}/warp"));
+        let drawn = drawn.json(&json!({"q": SHAPES[2]})).send().await.unwrap();
+        assert_eq!(drawn.status(), 200);
+        ids.push(id);
+    }
+    let blend = |body: &Value| {
+        let request = server.post("/blend").json(body);
+        async {
+            let response = request.send().await.unwrap();
+            assert_eq!(response.status(), 200);
+            response.bytes().await.unwrap();
+        }
+    };
+    // What is drawn of a sum has a plan without handles.
+    let before = server.app.counters().plans_built;
+    blend(&json!({"images": [{"session": ids[0]}, {"session": ids[1]}]})).await;
+    assert_eq!(server.app.counters().plans_built, before + 1);
+    // Another method has other coefficients.
+    let images = json!([{"session": ids[0]}, {"session": ids[1]}]);
+    for _ in 0..2 {
+        blend(&json!({"images": images, "method": "affine"})).await;
+        assert_eq!(server.app.counters().plans_built, before + 3);
+    }
+    let entries = [0, 1].map(|k| json!({"image": k, "p": SHAPES[k]}));
+    let morph = json!({"images": entries, "steps": 5, "method": "similarity"});
+    let request = server.post("/blend").header("accept", "application/zip");
+    let upload = blend_form(&[&file, &file], &morph);
+    let response = request.multipart(upload).send().await.unwrap();
+    assert_eq!(response.status(), 200);
+    response.bytes().await.unwrap();
+    assert_eq!(server.app.counters().plans_built, before + 5);
 }
 
 #[tokio::test]

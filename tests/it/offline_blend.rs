@@ -283,3 +283,53 @@ fn what_is_wrong_is_said_with_the_file_or_the_option() {
     }
     assert!(!fs::exists(&out).unwrap());
 }
+
+/// What face researchers make of two portraits with 68 landmarks: hardly a cell folds (where a
+/// closed mouth opens), and an end of a morph is its picture, bit for bit.
+#[test]
+fn two_portraits_become_others() {
+    let scratch = Scratch::new();
+    let image = |name: &str| {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/");
+        format!("{path}{name}")
+    };
+    let [first, second] = ["hopper.jpg", "astronaut.png"].map(image);
+    let report = |name: &str, options: &[&str]| -> Value {
+        let out = scratch.path(name);
+        let usual = [
+            "--method", "affine", "--alpha", "2", "--format", "png", "-o", &out,
+        ];
+        done(&[&["blend", &first, &second], options, &usual].concat(), "");
+        let archive = fs::File::open(&out).unwrap();
+        let mut archive = zip::ZipArchive::new(archive).unwrap();
+        serde_json::from_reader(archive.by_name("report.json").unwrap()).unwrap()
+    };
+    for (name, options) in [
+        ("average.zip", &[][..]),
+        ("caricature.zip", &["--shape=1.5,-0.5", "--colour=1.5,-0.5"]),
+        ("shape.zip", &["--shape=0.5,0.5", "--colour=1,0"]),
+        ("colour.zip", &["--shape=1,0", "--colour=0.5,0.5"]),
+        ("morph.zip", &["--steps", "7"]),
+    ] {
+        let report = report(name, options);
+        let frames = report["frames"].as_array().unwrap();
+        assert_eq!(frames.len(), if name == "morph.zip" { 7 } else { 1 });
+        for frame in frames {
+            let folds = frame["folds"].as_array().unwrap();
+            let most = folds.iter().filter_map(Value::as_u64).max();
+            assert!(most.is_some_and(|most| most <= 20), "{name}: {frame}");
+        }
+    }
+    let mut archive = zip::ZipArchive::new(fs::File::open(scratch.path("morph.zip")).unwrap());
+    let mut start = Vec::new();
+    let archive = archive.as_mut().unwrap();
+    archive
+        .by_name("0000.png")
+        .unwrap()
+        .read_to_end(&mut start)
+        .unwrap();
+    let whole = scratch.path("whole.png");
+    done(&["warp", &first, "-", "-o", &whole], "{\"p\": []}");
+    let pixels = |file: &[u8]| image::load_from_memory(file).unwrap().into_rgb8();
+    assert_eq!(pixels(&start), pixels(&fs::read(&whole).unwrap()));
+}

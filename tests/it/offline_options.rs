@@ -322,6 +322,17 @@ fn a_wrong_option_is_named_and_so_is_the_file_of_a_wrong_field() {
         let said = failed(args, "");
         assert!(said.starts_with(&sentence), "{args:?}: {said}");
     }
+    let landmarks = format!("{folder}/landmarks.csv");
+    fs::write(&landmarks, "name,x,y\na,1,2\n").unwrap();
+    for command in ["fit", "report", "map"] {
+        let out = ["-o", "-"];
+        let said = failed(
+            &[&[command, &landmarks, "--extent", "60,40"], &out[..]].concat(),
+            "",
+        );
+        let cure = "is not JSON; the warp object is. A landmark file is given as --landmarks ";
+        assert!(said.contains(cure), "{command}: {said}");
+    }
     // A field of a file has its pointer too.
     for (text, sentence) in [
         (

@@ -1297,6 +1297,11 @@ export type Problem = {
    */
   column?: number;
   /**
+   * With `bad_landmarks`, if the file has several specimens, images, persons or rows and
+   * `item` chooses none of them: the names of each, in their order, as far as they fit.
+   */
+  items?: string[][];
+  /**
    * With `superseded`: the highest `seq` that the session has seen.
    */
   newest?: number;

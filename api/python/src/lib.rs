@@ -6,6 +6,7 @@
 //! Long work runs on a pool of this process without Python's lock ([`pool`]). Every error is a
 //! problem of the contract ([`error`]).
 
+mod blend;
 mod error;
 mod files;
 mod plan;
@@ -16,6 +17,8 @@ mod values;
 /// The module itself.
 #[pyo3::pymodule(name = "_engine")]
 mod engine {
+    #[pymodule_export]
+    use super::blend::Blend;
     #[pymodule_export]
     use super::files::{compare_methods, read_landmarks, warp_file};
     #[pymodule_export]

@@ -74,14 +74,24 @@ fn is(what: &str) -> &'static str {
     if what.ends_with('s') { "are" } else { "is" }
 }
 
+/// What the object with the handles is called.
+const WARP: &str = "warp object";
+
 /// A JSON file as a source of fields.
-/// Errors: As [`read`].
+/// Errors: As [`read`]; a file of another kind.
 pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<NamedObject, Failure> {
     let (name, json) = (name_of(path), read(what, path, limit)?);
     if SourceFormat::of(&json).is_ok() {
         return Err(Failure::Local(format!(
             "{name} is an image; the {what} {} JSON, and there is one image",
             is(what)
+        )));
+    }
+    let text = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&json);
+    let begins = text.trim_ascii_start().first();
+    if what == WARP && begins.is_some_and(|byte| !b"{[".contains(byte)) {
+        return Err(Failure::Local(format!(
+            "{name} is not JSON; the {what} is. A landmark file is given as --landmarks {name}"
         )));
     }
     Ok(NamedObject {
@@ -233,7 +243,7 @@ impl WarpInput {
     pub(super) fn source(&self, config: &Config) -> Result<Option<NamedObject>, Failure> {
         self.warp
             .as_deref()
-            .map(|path| source("warp object", path, Limit::json(config)))
+            .map(|path| source(WARP, path, Limit::json(config)))
             .transpose()
     }
 }

@@ -50,6 +50,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "frame.js" JS,
             "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,
+            "landmarks.js" JS,
             "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
         "mesh.js" JS, "methods.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS,
         "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "plan.js" JS,

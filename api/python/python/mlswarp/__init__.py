@@ -15,6 +15,7 @@ array([[262., 270.]])
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
+from ._blend import Blended, blend, blend_frames
 from ._engine import num_threads as get_num_threads
 from ._engine import set_num_threads
 from ._files import File, Landmarks, load_landmarks, warp_file
@@ -70,6 +71,7 @@ __all__ = [
     "AuthenticationError",
     "BadImage",
     "BadLandmarks",
+    "Blended",
     "Candidate",
     "Canvas",
     "Client",
@@ -98,6 +100,8 @@ __all__ = [
     "Superseded",
     "TooLarge",
     "UnsupportedArray",
+    "blend",
+    "blend_frames",
     "from_centers",
     "get_num_threads",
     "load_landmarks",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, suppress
 from os import PathLike
 from pathlib import Path
@@ -67,6 +67,17 @@ class AsyncClient:
     ) -> Rendered:
         """As `Client.warp`."""
         return await self._run(_calls.warp_once(image, warp, region))
+
+    async def blend(
+        self,
+        images: Sequence[File],
+        blend: Mapping[str, Any],
+        *,
+        landmarks: Sequence[File] = (),
+        accept: str | None = None,
+    ) -> Rendered:
+        """As `Client.blend`."""
+        return await self._run(_calls.blend(images, blend, landmarks, accept))
 
     async def open(
         self,

@@ -6,7 +6,7 @@ import io
 import json
 import random
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -78,7 +78,7 @@ class Call(Generic[T]):
     read: Callable[[Response], T]
     json: bytes | None = None
     content: bytes | None = None
-    files: Mapping[str, Any] | None = None
+    files: Sequence[tuple[str, Any]] | None = None
     params: Mapping[str, str] = field(default_factory=dict)
     accept: str | None = None
 
@@ -92,7 +92,7 @@ class Call(Generic[T]):
             headers["Content-Type"] = "application/octet-stream"
             options["content"] = self.content
         elif self.files is not None:
-            options["files"] = dict(self.files)
+            options["files"] = list(self.files)
         return options
 
 
@@ -171,9 +171,13 @@ def pose_of(q: Handles | None, strength: float | None) -> dict[str, Any]:
     return _given(q=None if q is None else json_handles(q, "q"), strength=strength)
 
 
-def _upload(image: bytes, warp: bytes, region: bytes | None) -> dict[str, Any]:
-    parts = {"image": ("image", image), "warp": (None, warp, "application/json")}
-    return parts if region is None else {**parts, "region": ("region", region)}
+def _upload(image: bytes, warp: bytes, region: bytes | None) -> list[tuple[str, Any]]:
+    parts: list[tuple[str, Any]] = [("image", ("image", image)), _object("warp", warp)]
+    return parts if region is None else [*parts, ("region", ("region", region))]
+
+
+def _object(name: str, json: bytes) -> tuple[str, Any]:
+    return name, (None, json, "application/json")
 
 
 def warp_object(warp: Mapping[str, Any] | str | bytes) -> bytes:
@@ -193,6 +197,20 @@ def warp_once(
     mask = None if region is None else _read(region)
     files = _upload(_read(image), warp_object(warp), mask)
     return Call("POST", "warp", _rendered, files=files)
+
+
+def blend(
+    images: Sequence[File],
+    blend: Mapping[str, Any],
+    landmarks: Sequence[File],
+    accept: str | None,
+) -> Call[Rendered]:
+    files = [
+        *(("image", (f"image-{k}", _read(file))) for k, file in enumerate(images)),
+        *(("landmarks", (f"landmarks-{k}", _read(file))) for k, file in enumerate(landmarks)),
+        _object("blend", to_json(blend)),
+    ]
+    return Call("POST", "blend", _rendered, files=files, accept=accept)
 
 
 def put_session(

@@ -1,6 +1,7 @@
 from typing import Any, final
 
 __all__ = [
+    "Blend",
     "Plan",
     "Pose",
     "Values",
@@ -20,6 +21,13 @@ class Values:
     @property
     def seconds(self) -> float: ...
     def copy_to(self, out: Any) -> None: ...
+
+@final
+class Blend:
+    def __new__(cls, images: list[tuple[Any, tuple[int, int, int]]], blend: bytes) -> Blend: ...
+    @property
+    def frames(self) -> int: ...
+    def frame(self, frame: int) -> tuple[Values, str, str]: ...
 
 @final
 class Plan:

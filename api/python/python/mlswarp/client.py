@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from os import PathLike
 from pathlib import Path
@@ -105,6 +105,20 @@ class Client:
     ) -> Rendered:
         """``POST /warp``: the bytes of `mlswarp.warp_file`."""
         return self._run(_calls.warp_once(image, warp, region))
+
+    def blend(
+        self,
+        images: Sequence[File],
+        blend: Mapping[str, Any],
+        *,
+        landmarks: Sequence[File] = (),
+        accept: str | None = None,
+    ) -> Rendered:
+        """``POST /blend``: several images in one. `blend`: the object of the request, whose images
+        are numbers of `images` or ids of sessions. `landmarks`: a file for each image, in place of
+        handles in `blend`. `accept`: ``image/apng``, ``image/gif`` or ``application/zip`` for
+        several frames."""
+        return self._run(_calls.blend(images, blend, landmarks, accept))
 
     def open(
         self,

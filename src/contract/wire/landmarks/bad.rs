@@ -14,6 +14,8 @@ pub(super) struct Bad {
     detail: String,
     /// The limit of columns, if that is exceeded.
     limit: Option<usize>,
+    /// The names of each item of the file, if one of them is to be chosen.
+    items: Vec<Vec<String>>,
 }
 
 /// An error in JSON: at a byte, or at a JSON pointer.
@@ -28,7 +30,13 @@ impl Bad {
             at,
             detail: detail.into(),
             limit: None,
+            items: Vec::new(),
         }
+    }
+
+    /// With the names of each item.
+    pub(super) fn items(self, items: Vec<Vec<String>>) -> Self {
+        Self { items, ..self }
     }
 
     /// More handles than the limit of columns.
@@ -90,7 +98,11 @@ impl Bad {
             }
             None => Problem::new(Code::BadLandmarks, detail),
         };
-        problem.extra("line", line).extra("column", column)
+        let problem = problem.extra("line", line).extra("column", column);
+        if self.items.is_empty() {
+            return problem;
+        }
+        problem.extra("items", self.items)
     }
 }
 

@@ -9,8 +9,11 @@ use crate::wire::number::whole;
 
 /// The longest name of an item as it is written, bytes.
 pub(super) const LONGEST_NAME: usize = 4096;
-/// The most items that an error lists.
+/// The most items that the sentence of an error lists.
 const MOST_LISTED: usize = 12;
+/// The most items that an error has the names of, and the bytes of these.
+const MOST_NAMED: usize = 1000;
+const MOST_NAMED_BYTES: usize = 64 << 10;
 
 /// Which item is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,6 +56,9 @@ pub(super) struct Items {
     count: usize,
     /// The first ones, as an error names them.
     listed: Vec<String>,
+    /// All names of the first ones, in their order, and the bytes of that.
+    named: Vec<Vec<String>>,
+    named_bytes: usize,
     /// Where the second one is, bytes.
     second: usize,
     /// Whether the wanted one was found, and by its name.
@@ -74,6 +80,8 @@ impl Items {
             wanted,
             count: 0,
             listed: Vec::new(),
+            named: Vec::new(),
+            named_bytes: 0,
             second: 0,
             found: None,
         }
@@ -96,6 +104,7 @@ impl Items {
             self.listed
                 .push(format!("{index} {}", names.join(" ")).trim_end().to_owned());
         }
+        self.name(names);
         let (is_index, is_name) = match &self.wanted {
             None => (index == 0, false),
             Some(Item::Index(wanted)) => (index == *wanted, false),
@@ -131,6 +140,20 @@ impl Items {
         }
     }
 
+    /// Keeps the names of an item.
+    fn name(&mut self, names: &[&str]) {
+        let bytes: usize = names.iter().map(|name| name.len() + 1).sum();
+        let has_room = self.named.len() < MOST_NAMED
+            && self.named_bytes.saturating_add(bytes) <= MOST_NAMED_BYTES;
+        // Their order says which they are: after a gap nothing follows.
+        if has_room && self.named.len() + 1 == self.count {
+            let names = names.iter().filter(|name| !name.is_empty());
+            self.named
+                .push(names.map(|name| (*name).to_owned()).collect());
+            self.named_bytes += bytes;
+        }
+    }
+
     /// The names of the first items.
     fn list(&self, what: &str) -> String {
         let more = self.count - self.listed.len();
@@ -154,7 +177,7 @@ impl Items {
                     "expected `item`, the index or name of one, because the file has {}",
                     self.list(what)
                 );
-                Err(Bad::new(self.second, detail))
+                Err(Bad::new(self.second, detail).items(self.named.clone()))
             }
             Some(item) if self.found.is_none() && !is_only => {
                 let found = if self.count == 0 {
@@ -162,10 +185,8 @@ impl Items {
                 } else {
                     self.list(what)
                 };
-                Err(Bad::new(
-                    end,
-                    format!("expected the item {}; the file has {found}", item.text()),
-                ))
+                let detail = format!("expected the item {}; the file has {found}", item.text());
+                Err(Bad::new(end, detail).items(self.named.clone()))
             }
             _ => Ok(()),
         }

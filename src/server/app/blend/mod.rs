@@ -22,6 +22,7 @@ use super::batch::{BatchForm, DEFAULT_DELAY_MS, Package};
 use super::draw::{DrawJob, Drawn};
 use super::drawable::DrawnContent;
 use super::json_text::cancellable_json;
+use super::parts::plans::HeldSetup;
 use super::reading::{Held, part};
 use crate::cache::{CacheEntry, CacheKey};
 use crate::client::Client;
@@ -30,7 +31,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
-use crate::wire::blend::{BlendObject, BlendReport, NamedShape};
+use crate::wire::blend::{BlendObject, BlendReport};
 use crate::wire::formats::Formats;
 use crate::wire::{AsJson, Reserved};
 use prepare::{in_image, prepare};
@@ -67,7 +68,7 @@ struct SourceImage {
     pub(super) source: BlendedSource,
     pub(super) extent: Extent,
     /// Its landmarks, px.
-    pub(super) shape: NamedShape,
+    pub(super) p: Vec<Handle>,
     /// Which handles are each other's mirror images, if the mirror image is meant.
     pub(super) pairs: Option<MirrorPairs>,
 }
@@ -240,40 +241,38 @@ impl BlendJob {
                 app.images.decode(client, &ticket, sources).await?
             }
         };
+        let setup = self.setup(index, &ticket, &content).await?;
+        let planned = app
+            .plans
+            .plan(client, &ticket, &setup, Timing::default())
+            .await?;
+        // Later frames need it again; of a file, nobody else does.
+        let is_of_file = matches!(self.images[index].source, BlendedSource::File(..));
+        if planned.is_built && is_of_file {
+            app.plans.demote(client.owner, &setup);
+        }
         let (job, target, threads) = (Arc::clone(self), Arc::clone(target), app.pool().clone());
         let add = move |cancel: &Cancel| {
             let is_cancelled = || cancel.is_cancelled();
             let RasterSource::Image(image) = content.subject() else {
-                return Err(Problem::new(Code::Internal, "an image is blended"));
+                return Err(not_an_image());
             };
-            RasterSource::Image(image).check(&job.object.output)?;
-            let source = &job.images[index];
-            let rest = RestSpec {
-                p: source.shape.p.clone(),
-                ..job.object.rest.clone()
-            };
-            let setup = job
-                .app
-                .plans
-                .new_setup(&rest, image.extent(), None, cancel)?;
             let frame = job.images[0].extent.width();
-            let mirrored_in = source.pairs.as_ref().map(|_| frame);
-            let drawn = match &source.pairs {
+            let pairs = job.images[index].pairs.as_ref();
+            let drawn = match pairs {
                 Some(pairs) => &pairs.mirrored(&target, f64::from(frame)),
                 None => &*target,
             };
             let q = job.shapes.posed(index, drawn);
             let _held = job.app.admission.reserve(
                 MemoryClass::Plan,
-                setup.plan_bytes().unwrap_or_default()
-                    + setup.posed_bytes()
-                    + setup.most_halved_bytes(),
+                setup.posed_bytes() + setup.most_halved_bytes(),
             )?;
             let (posed, sum) = threads.run_parallel(|| {
-                let plan = setup.plan(&is_cancelled)?;
                 let pose = setup.pose(&q)?;
-                let posed = PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
-                let how = (weight, mirrored_in);
+                let (plan, folds) = (&planned.plan, Folds::Report);
+                let posed = PosedMesh::new(&setup, plan, &pose, folds, &is_cancelled)?;
+                let how = (weight, pairs.map(|_| frame));
                 sum.add(image, &posed, how, &job.object.output, &is_cancelled)?;
                 Ok::<_, WarpError>((posed, sum))
             })?;
@@ -282,6 +281,31 @@ impl BlendJob {
             Ok::<_, Problem>((sum, (report.folds, warnings)))
         };
         ticket.run(add).await?
+    }
+
+    /// The landmarks of an image, resolved on it.
+    async fn setup(
+        self: &Arc<Self>,
+        index: usize,
+        ticket: &Ticket,
+        content: &DrawnContent,
+    ) -> Result<HeldSetup, Problem> {
+        let (job, content) = (Arc::clone(self), content.clone());
+        let resolve = move |cancel: &Cancel| {
+            let RasterSource::Image(image) = content.subject() else {
+                return Err(not_an_image());
+            };
+            RasterSource::Image(image).check(&job.object.output)?;
+            let rest = RestSpec {
+                p: job.images[index].p.clone(),
+                ..job.object.rest.clone()
+            };
+            let plans = &job.app.plans;
+            plans
+                .new_setup(&rest, image.extent(), None, cancel)
+                .map(Arc::new)
+        };
+        ticket.run(resolve).await?
     }
 
     /// What the drawing of a finished sum needs: an image that nothing moves.
@@ -348,6 +372,10 @@ impl BlendJob {
         };
         ticket.run(write).await?
     }
+}
+
+fn not_an_image() -> Problem {
+    Problem::new(Code::Internal, "an image is blended")
 }
 
 /// A blend of nothing, whose memory is that of a pose without handles.

@@ -4,11 +4,8 @@
 use std::sync::Arc;
 
 use mlswarp::codec::{self, StepCounter};
-use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::render::Canvas;
-use mlswarp::warp::blend::BlendedShape;
-use mlswarp::warp::{CanvasSpec, Digest, OutputSpec, WarpError};
+use mlswarp::warp::{Digest, WarpError};
 
 use super::{BlendJob, BlendUpload, BlendedSource, SourceImage};
 use crate::app::App;
@@ -20,9 +17,7 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::Reserved;
-use crate::wire::blend::{
-    BlendObject, BlendSource, NamedShape, common_handles, match_shapes, mirror_pairs, shape_problem,
-};
+use crate::wire::blend::{AlignedShapes, BlendObject, BlendSource, NamedShape};
 use crate::wire::formats::Formats;
 use crate::wire::landmarks::{Choice, LandmarkFiles};
 
@@ -64,24 +59,15 @@ pub(super) async fn prepare(
     }
     let (of_job, limits) = (app.clone(), app.plans.limits);
     let settle = move |cancel: &Cancel| {
-        let mut images = read_images(&of_job, client, &upload, &object, records, cancel)?;
+        let read = read_images(&of_job, client, &upload, &object, records, cancel)?;
+        let (mut images, named): (Vec<SourceImage>, Vec<_>) = read.into_iter().unzip();
         let first = images[0].extent;
-        let shapes = align(&object, &mut images)?;
-        let canvas = match object.output.canvas {
-            CanvasSpec::Same => Canvas::of(first),
-            CanvasSpec::Box(canvas) => canvas,
-            CanvasSpec::Fit => {
-                let detail = "the canvas `fit` depends on one posed image; a blend has several: \
-                    send `same`, which is the box of the first image, or a box";
-                return Err(Problem::new(Code::BadValue, detail).pointer("/output/canvas"));
-            }
-        };
-        let output = OutputSpec {
-            canvas: CanvasSpec::Box(canvas),
-            ..object.output
-        };
-        let target = output.target_before_pose(first, &limits)?;
-        let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
+        let shapes = AlignedShapes::new(&object, named, first.width())?;
+        let matched = shapes.p.into_iter().zip(shapes.pairs);
+        for (image, (p, pairs)) in images.iter_mut().zip(matched) {
+            (image.p, image.pairs) = (p, pairs);
+        }
+        let (canvas, target) = object.target(first, &limits)?;
         require_work(&images, target.extent, limits.work)?;
         let format = match form {
             Some(form) => form.frame_format().unwrap_or(object.output.format),
@@ -92,7 +78,7 @@ pub(super) async fn prepare(
             client,
             object,
             images,
-            shapes,
+            shapes: shapes.blended,
             canvas,
             target,
             format,
@@ -123,7 +109,7 @@ fn require_work(images: &[SourceImage], extent: Extent, limit: u64) -> Result<()
         .limit("work", limit, actual))
 }
 
-/// Reads the sizes and the landmarks of all images.
+/// Reads the sizes and the landmarks of all images, which are not matched yet.
 fn read_images(
     app: &App,
     client: Client,
@@ -131,7 +117,7 @@ fn read_images(
     object: &BlendObject,
     records: Vec<Option<Arc<Record>>>,
     cancel: &Cancel,
-) -> Result<Vec<SourceImage>, Problem> {
+) -> Result<Vec<(SourceImage, NamedShape)>, Problem> {
     let mut images = Vec::with_capacity(records.len());
     for (index, (entry, record)) in object.images.iter().zip(records).enumerate() {
         let at = |field: &str| format!("/images/{index}{field}");
@@ -212,12 +198,13 @@ fn read_images(
                 return Err(Problem::new(Code::BadValue, detail).pointer(at("")));
             }
         };
-        images.push(SourceImage {
+        let image = SourceImage {
             source,
             extent,
-            shape,
+            p: Vec::new(),
             pairs: None,
-        });
+        };
+        images.push((image, shape));
     }
     Ok(images)
 }
@@ -242,30 +229,4 @@ pub(super) fn in_image(index: usize, mut problem: Problem) -> Problem {
     problem.detail = format!("image {index}: {}", problem.detail);
     problem.pointer = Some(format!("/images/{index}"));
     problem
-}
-
-/// Matches the landmarks, aligns them, and mirrors those of mirrored images about the middle of the
-/// reference frame.
-fn align(object: &BlendObject, images: &mut [SourceImage]) -> Result<BlendedShape, Problem> {
-    let mut shapes: Vec<NamedShape> = images.iter().map(|image| image.shape.clone()).collect();
-    match_shapes(&mut shapes, object.matching)?;
-    let kept = common_handles(&mut shapes);
-    for (index, (shape, image)) in shapes.iter().zip(images.iter_mut()).enumerate() {
-        image.shape = shape.clone();
-        let entry = &object.images[index];
-        if entry.is_mirrored {
-            image.pairs = Some(mirror_pairs(entry, index, shape, kept.as_deref())?);
-        }
-    }
-    let shapes: Vec<Vec<Handle>> = shapes.into_iter().map(|shape| shape.p).collect();
-    let count = shapes.len();
-    let mut blended = BlendedShape::new(shapes, object.align, &object.reference)
-        .map_err(|error| shape_problem(error, count))?;
-    let width = f64::from(images[0].extent.width());
-    for (index, image) in images.iter().enumerate() {
-        if let Some(pairs) = &image.pairs {
-            blended.mirror(index, pairs, width);
-        }
-    }
-    Ok(blended)
 }

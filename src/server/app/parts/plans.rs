@@ -182,6 +182,11 @@ impl Plans {
         self.compiled.touch(CacheKey::new(owner, setup.plan_key()))
     }
 
+    /// Makes the plan of a setup the first that gives way.
+    pub(crate) fn demote(&self, owner: Owner, setup: &ResolvedRest) {
+        self.compiled.demote(CacheKey::new(owner, setup.plan_key()));
+    }
+
     /// Keeps the setup of a record for the next drag.
     pub(crate) fn keep_setup(&self, client: Client, record: &Record, setup: &HeldSetup) {
         self.setups.put(revision_key(record), client.payer(), setup);

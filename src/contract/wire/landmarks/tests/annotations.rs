@@ -208,13 +208,31 @@ fn files_with_several_objects_list_them() {
         ),
         (IIIF, "2 annotations: 0 `one`, 1 `two` `inset`"),
     ] {
-        let (_, _, detail) = place(&read(file).unwrap_err());
+        let problem = read(file).unwrap_err();
+        let (_, _, detail) = place(&problem);
         assert!(
             detail.contains("expected `item`, the index or name of one")
                 && detail.ends_with(listed),
             "{detail}"
         );
+        // A program need not read that sentence.
+        let items = problem.to_json("", None)["items"].clone();
+        for (index, names) in items.as_array().unwrap().iter().enumerate() {
+            for name in names.as_array().unwrap() {
+                assert!(listed.contains(&format!("`{}`", name.as_str().unwrap())));
+            }
+            assert!(item(file, &index.to_string()).is_ok(), "{file} {index}");
+        }
     }
+    // Of many, the first ones, up to a limit of bytes.
+    let long = format!("{}.jpg", "a".repeat(3000));
+    let rows: Vec<String> = (0..40)
+        .map(|k| format!("LM=1\n{k} 1\nIMAGE={k}{long}\n"))
+        .collect();
+    let problem = read(&rows.concat()).unwrap_err();
+    let items = problem.to_json("", None)["items"].clone();
+    let count = items.as_array().unwrap().len();
+    assert!((15..25).contains(&count), "{count}");
     let (_, _, detail) = place(&item(COCO, "a.jpg").unwrap_err());
     assert!(
         detail.contains(

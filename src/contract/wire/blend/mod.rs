@@ -1,21 +1,24 @@
 //! `POST /blend`: which images are added, with which weights, and how their shapes are aligned.
 
-use std::collections::HashMap;
+mod shapes;
 
 use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
 use mlswarp::render::Canvas;
-use mlswarp::warp::blend::{BlendSpace, MirrorPairs, ShapeError, ShapeReference};
-use mlswarp::warp::{Align, OutputSpec, RestSpec};
+use mlswarp::warp::blend::{BlendSpace, ShapeReference};
+use mlswarp::warp::{Align, CanvasSpec, Limits, OutputSpec, RestSpec, Target};
 use serde::Serialize;
 
 use super::enum_name::{Matching, enum_name};
 use super::fields::{BlendFields, WarpFields};
 use super::handles::handles;
 use super::json::{Kind, Node, optional};
-use super::landmarks::{Item, Landmarks};
+use super::landmarks::Item;
 use super::number::{count, number_in};
 use super::{AsJson, WarpPatch, fields, json};
 use crate::problem::{Code, Problem};
+
+pub use shapes::{AlignedShapes, NamedShape};
 
 /// Most images of a blend.
 pub const MOST_IMAGES: usize = 200;
@@ -269,6 +272,27 @@ impl BlendObject {
         Ok(())
     }
 
+    /// The part of the frame of the first image that is drawn, and its size in pixels.
+    /// Errors: a canvas that depends on a pose; more pixels than the limits allow.
+    pub fn target(&self, first: Extent, limits: &Limits) -> Result<(Canvas, Target), Problem> {
+        let canvas = match self.output.canvas {
+            CanvasSpec::Same => Canvas::of(first),
+            CanvasSpec::Box(canvas) => canvas,
+            CanvasSpec::Fit => {
+                let detail = "the canvas `fit` depends on one posed image; a blend has several: \
+                    send `same`, which is the box of the first image, or a box";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/output/canvas"));
+            }
+        };
+        let output = OutputSpec {
+            canvas: CanvasSpec::Box(canvas),
+            ..self.output
+        };
+        let target = output.target_before_pose(first, limits)?;
+        let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
+        Ok((canvas, target))
+    }
+
     /// The weights of the images' shapes, or colours, in a frame.
     pub fn shape_weights(&self, frame: usize) -> Vec<f64> {
         self.images.iter().map(|entry| entry.shape[frame]).collect()
@@ -375,139 +399,6 @@ fn reference(node: &Node<'_, '_>) -> Result<ShapeReference, Problem> {
         Kind::Null | Kind::Bool | Kind::String | Kind::Object => {
             Err(node.unexpected(REFERENCE, node.text))
         }
-    }
-}
-
-/// The landmarks of an image, px of the image, with their names if they have any.
-#[derive(Clone, Debug, PartialEq)]
-pub struct NamedShape {
-    /// The landmarks.
-    pub p: Vec<Handle>,
-    /// One name for each.
-    pub names: Option<Vec<String>>,
-}
-
-impl NamedShape {
-    /// What a landmark file has, on an image of the size `extent`.
-    /// Errors: as [`Landmarks::scale`].
-    pub fn of_file(landmarks: Landmarks, extent: mlswarp::pixmap::Extent) -> Result<Self, Problem> {
-        let (p, names) = landmarks.into_shape(extent)?;
-        Ok(Self { p, names })
-    }
-}
-
-/// Brings shapes to the order of the first one, by names if that was requested, or if all have
-/// names of which each occurs once, and their order differs. A landmark that one of them lacks is
-/// left out of all. Errors: `bad_value` where names are requested and missing.
-pub fn match_shapes(shapes: &mut [NamedShape], matching: Option<Matching>) -> Result<(), Problem> {
-    let Some((first, others)) = shapes.split_first_mut() else {
-        return Ok(());
-    };
-    let index_of = |shape: &NamedShape| {
-        let names = shape.names.as_ref()?;
-        let index: HashMap<String, usize> = names
-            .iter()
-            .cloned()
-            .enumerate()
-            .map(|(k, name)| (name, k))
-            .collect();
-        (index.len() == shape.p.len()).then_some(index)
-    };
-    let indices: Option<Vec<_>> = others.iter().map(&index_of).collect();
-    let is_same = others.iter().all(|shape| shape.names == first.names);
-    let (indices, names) = match (matching, indices, index_of(first).and(first.names.clone())) {
-        (Some(Matching::Order), ..) => return Ok(()),
-        (None, ..) if is_same => return Ok(()),
-        (_, Some(indices), Some(names)) => (indices, names),
-        (None, ..) => return Ok(()),
-        (Some(Matching::Name), ..) => {
-            let detail = "the landmarks are matched by name, but not every image has landmark \
-                          names of which each occurs once";
-            return Err(Problem::new(Code::BadValue, detail).pointer("/match"));
-        }
-    };
-    let kept: Vec<usize> = (0..names.len())
-        .filter(|k| indices.iter().all(|index| index.contains_key(&names[*k])))
-        .collect();
-    for (shape, index) in others.iter_mut().zip(&indices) {
-        shape.p = kept
-            .iter()
-            .map(|k| shape.p[index[&names[*k]]].clone())
-            .collect();
-        shape.names = Some(kept.iter().map(|k| names[*k].clone()).collect());
-    }
-    first.p = kept.iter().map(|k| first.p[*k].clone()).collect();
-    first.names = Some(kept.iter().map(|k| names[*k].clone()).collect());
-    Ok(())
-}
-
-/// Leaves out of all shapes the landmarks that one of them lacks; the indices of the others if any
-/// was left out.
-pub fn common_handles(shapes: &mut [NamedShape]) -> Option<Vec<usize>> {
-    let count = shapes.iter().map(|shape| shape.p.len()).min()?;
-    let is_present = |k: &usize| shapes.iter().all(|shape| shape.p[*k] != Handle::Missing);
-    let kept: Vec<usize> = (0..count).filter(is_present).collect();
-    let is_whole = kept.len() == count || shapes.iter().any(|shape| shape.p.len() != count);
-    if is_whole {
-        return None;
-    }
-    for shape in shapes {
-        shape.p = kept.iter().map(|k| shape.p[*k].clone()).collect();
-        let pick = |names: &Vec<String>| kept.iter().map(|k| names[*k].clone()).collect();
-        shape.names = shape.names.as_ref().map(pick);
-    }
-    Some(kept)
-}
-
-/// The pairs of a mirrored image: as given, by name, or by position. `kept`: the indices, among
-/// those that the client counts, of the landmarks of the shape; `None` if that has all of them.
-/// Errors: `bad_value` at the entry where they are not known.
-pub fn mirror_pairs(
-    entry: &BlendEntry,
-    index: usize,
-    shape: &NamedShape,
-    kept: Option<&[usize]>,
-) -> Result<MirrorPairs, Problem> {
-    let by_name = || {
-        let names = shape.names.as_ref()?;
-        MirrorPairs::of_names(names, &shape.p)
-    };
-    let given = entry.pairs.as_ref().map(|pairs| match kept {
-        None => pairs.clone(),
-        // A pair that was left out is not among the pairs, and is refused.
-        Some(kept) => kept
-            .iter()
-            .filter_map(|k| pairs.get(*k))
-            .map(|pair| kept.iter().position(|k| k == pair).unwrap_or(usize::MAX))
-            .collect(),
-    });
-    let found = match &given {
-        Some(pairs) => MirrorPairs::of_permutation(pairs, &shape.p),
-        None => by_name().map_or_else(|| MirrorPairs::of_positions(&shape.p), Ok),
-    };
-    found.map_err(|error| {
-        Problem::new(Code::BadValue, error.to_string()).pointer(format!("/images/{index}/pairs"))
-    })
-}
-
-/// The problem of shapes that cannot be combined.
-pub fn shape_problem(error: ShapeError, images: usize) -> Problem {
-    let at = |shape: usize| {
-        if shape < images {
-            format!("/images/{shape}")
-        } else {
-            "/reference".to_owned()
-        }
-    };
-    let detail = error.to_string();
-    match error {
-        ShapeError::Count { shape, found, .. } => Problem::new(Code::ShapeMismatch, detail)
-            .pointer(at(shape))
-            .actual(found),
-        ShapeError::Form { shape, handle } => Problem::new(Code::ShapeMismatch, detail)
-            .pointer(at(shape))
-            .handle(handle),
-        ShapeError::Empty => Problem::new(Code::BadValue, detail).pointer("/images"),
     }
 }
 
