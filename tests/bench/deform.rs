@@ -52,7 +52,7 @@ fn tables() {
     let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 100, 100);
     for n in [7, 11, 100] {
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
+        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).expect("nothing cancels it");
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
         let single = |list: &[Point]| {
@@ -151,7 +151,7 @@ fn annotations(report: &mut Report) {
         .expect("seven points");
     let posed = PosedMesh::coarse(
         &setup,
-        &setup.plan(&|| false).unwrap(),
+        &setup.plan(&|| false).expect("nothing cancels it"),
         &pose,
         Folds::Report,
         &|| false,
@@ -198,7 +198,7 @@ fn growth(report: &mut Report) {
     let time = |side: u32, n: usize| {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
+        let plan = CoefficientTable::of_grid(&field, &grid, &|| false).expect("nothing cancels it");
         let median = harness::medians(
             31,
             &mut [contender("", || {
@@ -251,7 +251,8 @@ fn one_level() {
         .into_iter()
         .map(|n| {
             let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-            let plan = CoefficientTable::of_grid(&field, &grid, &|| false).unwrap();
+            let plan =
+                CoefficientTable::of_grid(&field, &grid, &|| false).expect("nothing cancels it");
             let work = contender("", || {
                 black_box(plan.displace(black_box(&pose), &|| false));
             });

@@ -66,7 +66,8 @@ fn main() {
                 move || {
                     pool.install(|| {
                         black_box(
-                            CoefficientTable::of_grid(black_box(field), &grid, &|| false).unwrap(),
+                            CoefficientTable::of_grid(black_box(field), &grid, &|| false)
+                                .expect("nothing cancels it"),
                         )
                     });
                 },

@@ -62,7 +62,7 @@ impl Drag {
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
         let setup = ResolvedRest::new(&spec, image.extent(), &limits, &|| false)
             .expect("handles that can be warped");
-        let plan = setup.plan(&|| false).unwrap();
+        let plan = setup.plan(&|| false).expect("nothing cancels it");
         Self {
             image,
             setup,
@@ -143,7 +143,7 @@ pub fn deformation(extent: Extent, handle_count: usize) -> (deform::CoefficientT
         VERTICES,
     );
     (
-        deform::CoefficientTable::of_grid(&field, &grid, &|| false).unwrap(),
+        deform::CoefficientTable::of_grid(&field, &grid, &|| false).expect("nothing cancels it"),
         pose,
     )
 }
