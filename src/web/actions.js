@@ -289,6 +289,19 @@ export class Actions {
     this.say("Put back");
   }
 
+  /**
+   * Puts the selection in front of what it overlaps, or behind it.
+   * @param {boolean} isFront
+   */
+  bring(isFront) {
+    const { document, selection } = this.state;
+    const next = edits.brought(document, selection, isFront);
+    const where = isFront ? "in front" : "at the back";
+    if (next === document) return this.say(`It is ${where} already`);
+    this.edit(next);
+    this.say(`It is ${where} where the picture overlaps itself`);
+  }
+
   /** Exchanges rest and pose of all handles. */
   async swap() {
     const { document } = this.state;

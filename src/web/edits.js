@@ -21,6 +21,8 @@ export const toolName = (tool) =>
 
 /** What is without a meaning for a pin that is twisted already. */
 const UNTURNED = { angle: 0, scale: 1 };
+/** The server's limit of a depth. */
+const DEEPEST = 1000;
 /** The server's limit of a coordinate. */
 const REACH = 1e6;
 /** @type {(x: number) => number} */
@@ -257,6 +259,66 @@ export function withTwist(document, index, degrees, free, size) {
   return next === old ? document : { ...document, handles: document.handles.with(index, next) };
 }
 
+/** @type {(handle: Page.Handle) => number} */
+export const depthOf = ({ depth }) => depth ?? 0;
+
+/**
+ * A handle with a depth, within the server's limits; 0 is no depth.
+ * @type {(handle: Page.Handle, depth: number) => Page.Handle}
+ */
+function atDepth({ depth: _, ...handle }, depth) {
+  const value = Math.min(DEEPEST, Math.max(-DEEPEST, depth)) + 0;
+  return value ? { ...handle, depth: value } : handle;
+}
+
+/**
+ * Sets the depth of a handle.
+ * @param {Page.Document} document
+ * @param {number} index
+ * @param {number} depth
+ * @returns {Page.Document}
+ */
+export function withDepth(document, index, depth) {
+  const old = document.handles[index];
+  const next = atDepth(old, depth);
+  if (depthOf(next) === depthOf(old)) return document;
+  return { ...document, handles: document.handles.with(index, next) };
+}
+
+/**
+ * Puts the selected handles in front of all others, or behind them.
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @param {boolean} isFront
+ * @returns {Page.Document}
+ */
+export function brought(document, selection, isFront) {
+  const chosen = new Set(selection.map(idOf));
+  const way = isFront ? 1 : -1;
+  /** @type {(of: boolean) => number[]} */
+  const depths = (of) =>
+    document.handles.filter((h) => chosen.has(h.id) === of).map((h) => way * depthOf(h));
+  const [mine, others] = [depths(true), depths(false)];
+  const farthest = Math.max(...others);
+  if (!mine.length || !others.length || Math.min(...mine) > farthest) return document;
+  const next = Math.floor(farthest) + 1;
+  // Only who brings a thousand handles to the front one after the other gets here.
+  const levels = next > DEEPEST ? [...new Set(others)].sort((a, b) => a - b) : null;
+  /** @type {(handle: Page.Handle) => Page.Handle} */
+  const moved = (h) => {
+    if (chosen.has(h.id)) return atDepth(h, way * (levels ? levels.length : next));
+    return levels ? atDepth(h, way * levels.indexOf(way * depthOf(h))) : h;
+  };
+  return { ...document, handles: document.handles.map(moved) };
+}
+
+/**
+ * Whether the picture follows its outline: parts of it that are dragged come to the front.
+ * @type {(document: Page.Document) => boolean}
+ */
+export const isOutlined = (document) =>
+  metricOf(document) === "geodesic" || Boolean(infoOf(document).mesh);
+
 /** @type {(handle: Page.Handle) => handle is Page.Handle & { twist: Page.Twist }} */
 const isPinTwisted = (handle) => handle.twist !== undefined;
 
@@ -428,6 +490,7 @@ export function restOf(document) {
     ? { weights: handles.map(weight) }
     : {};
   const point_mass = mass === undefined ? {} : { point_mass: mass };
+  const depth = handles.some(depthOf) ? { depth: handles.map(depthOf) } : {};
   const parameters = {
     ...(has(document, "smoothing") && { smoothing: document.smoothing ?? 0 }),
     ...(hasFocus(document) && { alpha: alphaOf(document), ...point_mass }),
@@ -445,6 +508,7 @@ export function restOf(document) {
   return {
     p: wire(document, "p"),
     ...weights,
+    ...depth,
     method,
     ...parameters,
     coincident: document.coincident ?? MEAN,
@@ -563,6 +627,7 @@ export function sameRest(object, document) {
   const {
     p,
     weights,
+    depth,
     method,
     alpha,
     smoothing,
@@ -580,6 +645,7 @@ export function sameRest(object, document) {
   const pairs = [
     [object.p, p],
     [object.weights, weights],
+    [object.depth, depth],
     [object.method, method],
     [object.alpha, alpha],
     [object.smoothing, smoothing],

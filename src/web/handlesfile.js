@@ -224,6 +224,7 @@ export function documentFrom(warp) {
     p,
     q = p,
     weights,
+    depth,
     point_mass: mass,
     units = "px",
     method = "rigid",
@@ -251,6 +252,14 @@ export function documentFrom(warp) {
     "/weights",
     "a list of one positive number for each handle",
   );
+  demand(
+    depth === undefined ||
+      (Array.isArray(depth) &&
+        depth.length === p.length &&
+        depth.every((d) => Number.isFinite(d) && Math.abs(d) <= 1000)),
+    "/depth",
+    "a list of one number between -1000 and 1000 for each handle",
+  );
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
   /** @type {Page.Handle[]} */
   const handles = present.map((i, n) => {
@@ -261,7 +270,11 @@ export function documentFrom(warp) {
       `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`,
     );
     const pin = pinOf(rest, posed, weights?.[i], mass);
-    return { id: n + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
+    return {
+      id: n + 1,
+      ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }),
+      ...(depth?.[i] && { depth: depth[i] }),
+    };
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1))

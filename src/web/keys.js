@@ -255,6 +255,8 @@ export class Keys {
       x: () => isRegionTool(tool) && does.removes(!removes),
       m: () => does.arm(),
       r: () => selected && actions.putBack(),
+      ".": () => selected && actions.bring(true),
+      ",": () => selected && actions.bring(false),
       "[": () => (tool === "brush" ? actions.resizeBrush(-1) : actions.rotate(-TURN)),
       "]": () => (tool === "brush" ? actions.resizeBrush(1) : actions.rotate(TURN)),
       e: () => does.export(),

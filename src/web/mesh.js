@@ -12,6 +12,11 @@ export class Mesh {
   constructor(grid, places) {
     this.grid = grid;
     this.places = places;
+    /**
+     * How far in front each vertex is (depth.js); null: cells are drawn in row order.
+     * @type {Float32Array | null}
+     */
+    this.depths = null;
   }
 
   /**
@@ -59,10 +64,12 @@ export class Mesh {
    * @param {number} share
    */
   towards(other, share) {
-    return new Mesh(
+    const between = new Mesh(
       this.grid,
       this.places.map((c, k) => c + share * (other.places[k] - c)),
     );
+    between.depths = this.depths;
+    return between;
   }
 
   /** @param {number} i */

@@ -586,6 +586,7 @@ function warpOfSession(object) {
   const {
     p,
     weights,
+    depth,
     method,
     alpha,
     point_mass,
@@ -601,6 +602,7 @@ function warpOfSession(object) {
     ...ownIn(object),
     p,
     weights,
+    depth,
     method,
     point_mass,
     smoothing,

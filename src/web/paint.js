@@ -4,6 +4,7 @@
 // premultiplied.
 
 import { known } from "./dom.js";
+import { Mesh } from "./mesh.js";
 import { STRIDE, edgeTriangles } from "./outside.js";
 import { RegionPainter } from "./regionpaint.js";
 
@@ -38,6 +39,23 @@ function premultiplied(outside) {
   if (!outside.startsWith("#")) return [0, 0, 0, 0];
   const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
   return [r * a, g * a, b * a, a];
+}
+
+/**
+ * The refined vertices of a mesh with their depths: x, y, and z, which is less in front.
+ * @param {Page.Mesh} mesh
+ * @param {Float32Array} depths
+ * @param {number} n
+ */
+function inDepth(mesh, depths, n) {
+  const places = mesh.refined(n);
+  const pairs = new Float32Array(2 * depths.length);
+  depths.forEach((depth, k) => (pairs[2 * k] = -depth));
+  const carried = new Mesh(mesh.grid, pairs).refined(n);
+  const both = new Float32Array((places.length / 2) * 3);
+  for (let from = 0, to = 0; from < places.length; from += 2, to += 3)
+    both.set([places[from], places[from + 1], carried[from]], to);
+  return both;
 }
 
 /** @typedef {WebGL2RenderingContext | WebGLRenderingContext} Gl */
@@ -249,12 +267,23 @@ export class Painter {
    */
   #paintCells(mesh, n) {
     const { gl, buffers } = known(this.#gpu);
+    const places = mesh.depths ? inDepth(mesh, mesh.depths, n) : mesh.refined(n);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers.places);
-    gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
-    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
+    gl.bufferData(gl.ARRAY_BUFFER, places, gl.DYNAMIC_DRAW);
+    gl.vertexAttribPointer(0, mesh.depths ? 3 : 2, gl.FLOAT, false, 0, 0);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers.rest);
     gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 0, 0);
+    if (mesh.depths) {
+      gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.enable(gl.DEPTH_TEST);
+      // Where depths are equal, the later cell is visible.
+      gl.depthFunc(gl.LEQUAL);
+    }
     gl.drawElements(gl.TRIANGLES, this.#count, this.#wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0);
+    if (mesh.depths) {
+      gl.disable(gl.DEPTH_TEST);
+      gl.depthFunc(gl.LESS);
+    }
   }
 
   /** @param {Page.Outside} outside */

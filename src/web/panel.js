@@ -131,6 +131,8 @@ export class Panel {
     }
     click("move-to", does.arm);
     click("put-back", () => actions.putBack());
+    click("bring-front", () => actions.bring(true));
+    click("send-back", () => actions.bring(false));
     click("rotate-left", () => actions.rotate(-5));
     click("rotate-right", () => actions.rotate(5));
     click("select-more", () => store.do("more", { more: !state().more }));
@@ -441,6 +443,8 @@ export class Panel {
       canTwist(handles.find((h) => String(h.id) === selection[0]));
     for (const id of /** @type {const} */ (["rotate-left", "rotate-right"]))
       find(id).hidden = places < 2 && !pin;
+    for (const id of /** @type {const} */ (["bring-front", "send-back"]))
+      find(id).hidden = handles.length < 2;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < (state.tool === "lasso" ? 3 : 2);
     text("draft-text", `${toolName(state.tool)}: ${count(draft.length, "point")}`);

@@ -2,7 +2,7 @@
 // pointerup or pointercancel. A second finger cancels it and begins a pinch.
 
 import { known } from "./dom.js";
-import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
+import { brought, circleOf, isOutlined, posedPlaces, rotated, translated } from "./edits.js";
 import { keyOf } from "./handles.js";
 import { isRegionTool } from "./region.js";
 
@@ -226,7 +226,9 @@ export class Pointer {
       begin: () => {
         if (!selected()) this.store.do("select", { keys: [key] });
         this.store.do("dragBegin");
-        before = this.store.state.document;
+        const { document, selection } = this.store.state;
+        // What is in hand is not hidden by what it is moved over.
+        before = isOutlined(document) ? brought(document, selection, true) : document;
         this.stage.dataset.gesture = "drag";
       },
       move: (at) => {

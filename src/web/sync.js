@@ -5,6 +5,7 @@
 
 import { aligned } from "./align.js";
 import * as api from "./api.js";
+import { depthsOf } from "./depth.js";
 import { known } from "./dom.js";
 import { infoOf, movedApart, ownIn, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
@@ -80,6 +81,8 @@ export class Sync {
   #stalled = false;
   #settled = -1;
   #sent = -1;
+  /** @type {{ of: string, depths: Float32Array | null }} */
+  #depths = { of: "", depths: null };
   #meshRevision = -1;
   #seq = 0;
   #asked = 0; // when the current step began, which makes the requests
@@ -444,7 +447,7 @@ export class Sync {
     const { revision: shown, plan: by } = this.shown;
     if (shown === revision && by === plan) return true;
     const [p, q] = [wire(document, "p"), wire(document, "q")];
-    const mesh = plan.pose(p, q);
+    const mesh = this.#inDepth(plan.pose(p, q));
     this.mesh = mesh;
     this.view.showMesh(mesh, () => {});
     const residual = meetsHandles(document) ? plan.residual(mesh, p, q) : null;
@@ -462,12 +465,25 @@ export class Sync {
   async #fetchMesh(id, grid, body, revision, signal) {
     const { places, report } = await api.mesh(id, body, signal);
     if (signal.aborted) return;
-    const mesh = new Mesh(grid, places);
+    const mesh = this.#inDepth(new Mesh(grid, places));
     this.#takeMesh(mesh, revision);
     if (this.view.webgl !== "none" && this.png?.revision !== revision) {
       this.view.showMesh(mesh, () => {});
       this.#show(revision, "mesh", { folds: this.view.folds, residual: report.residual });
     }
+  }
+
+  /**
+   * The mesh, with what is in front of what; that changes with the handles at rest only.
+   * @param {Page.Mesh} mesh
+   */
+  #inDepth(mesh) {
+    const { columns, rows } = mesh.grid;
+    const of = `${columns} ${rows} ${this.session?.rest}`;
+    if (of !== this.#depths.of)
+      this.#depths = { of, depths: depthsOf(this.store.state.document, mesh) };
+    mesh.depths = this.#depths.depths;
+    return mesh;
   }
 
   /**
@@ -506,6 +522,7 @@ export class Sync {
    */
   #liveMesh(mesh, isCompact, revision, report, done) {
     if (this.#overtaken(revision) || this.#settled === revision) return done();
+    this.#inDepth(mesh);
     // -1: this mesh is only near that of the revision, so the full one is requested at rest.
     this.#takeMesh(mesh, isCompact ? -1 : revision);
     this.view.showMesh(mesh, done);
@@ -682,6 +699,7 @@ function setupOf(object) {
   const {
     p,
     weights,
+    depth,
     method,
     alpha,
     point_mass: mass,
@@ -698,6 +716,7 @@ function setupOf(object) {
   return JSON.stringify([
     p,
     weights,
+    depth,
     method,
     alpha,
     mass,

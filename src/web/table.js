@@ -1,18 +1,20 @@
 // The table of handles: every coordinate of p and q can be edited.
 
 import { known } from "./dom.js";
-import { kindName, withNumber } from "./edits.js";
+import { kindName, withDepth, withNumber } from "./edits.js";
 import { angleOf } from "./twist.js";
 import { marked } from "./words.js";
 
 /**
- * The number of an input; null: a pin that is not twisted.
+ * The number of an input; null: a pin that is not twisted, or a depth of 0.
  * @type {(handle: Page.Handle, vertex: number, input: HTMLInputElement) => number | null}
  */
 const valueOf = (handle, vertex, { dataset }) =>
   dataset.which === "p" || dataset.which === "q"
     ? handle[dataset.which][vertex][Number(dataset.axis)]
-    : angleOf(handle);
+    : dataset.which === "depth"
+      ? (handle.depth ?? null)
+      : angleOf(handle);
 
 /** What the rows depend on. */
 const SHOWN = /** @type {const} */ (["document", "selection", "problem", "apart"]);
@@ -148,6 +150,14 @@ export class Table {
       input.dataset.which = "twist";
       input.setAttribute("aria-label", `Handle ${index + 1} twist, degrees`);
       cell(input);
+    } else row.append(document.createElement("td"));
+    if (vertex === 0) {
+      const input = document.createElement("input");
+      Object.assign(input, { type: "number", step: "any", min: -1000, max: 1000 });
+      input.id = `depth-${index}`;
+      input.dataset.which = "depth";
+      input.setAttribute("aria-label", `Handle ${index + 1} depth`);
+      cell(input);
     }
     return row;
   }
@@ -194,7 +204,9 @@ export class Table {
     const { document } = this.store.state;
     const value = input.value.trim() === "" ? NaN : Number(input.value);
     const { which, axis } = input.dataset;
-    if (which !== "p" && which !== "q")
+    if (which === "depth")
+      this.actions.edit(withDepth(document, index, Number.isFinite(value) ? value : 0));
+    else if (which !== "p" && which !== "q")
       this.actions.twistTo(index, Number.isFinite(value) ? value : null);
     else if (Number.isFinite(value))
       this.actions.edit(withNumber(document, which, index, vertex, Number(axis), value));

@@ -58,7 +58,14 @@ declare namespace Page {
    */
   type Twist = { angle: number; scale: number; length: number; free?: number };
   /** One position is a point ("pin"), two are a line, more a path. */
-  type Handle = { id: number; p: Place[]; q: Place[]; weight?: number; twist?: Twist };
+  type Handle = {
+    id: number;
+    p: Place[];
+    q: Place[];
+    weight?: number;
+    depth?: number;
+    twist?: Twist;
+  };
   type HandleKind = "point" | "line" | "path";
 
   type RegionPart =
@@ -263,6 +270,7 @@ declare namespace Page {
   type Rest = {
     p: WireHandle[];
     weights?: number[];
+    depth?: number[];
     method: Method;
     alpha?: number;
     point_mass?: number;
@@ -301,6 +309,7 @@ declare namespace Page {
     expires: string;
     p: WireHandle[];
     weights?: number[];
+    depth?: number[];
     method: Method;
     alpha?: number;
     point_mass?: number | null;

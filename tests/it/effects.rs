@@ -192,6 +192,26 @@ fn values(schema: &str, field: &str) -> (Value, Value, Value) {
         "align" => (no, json!("none"), json!("similarity")),
         "strength" => (no, json!(1), json!(0.5)),
         "weights" => (no, json!([1, 1, 1, 1, 1, 1]), json!([9, 1, 1, 1, 1, 1])),
+        // The middle is dragged over the right half.
+        "depth" => {
+            let mut folded = json!({"q": [
+                [20, 20],
+                [140, 30],
+                [130, 100],
+                [25, 95],
+                [150, 70],
+                [60, 30]
+            ]});
+            if schema == "Points" {
+                folded["inverse"] = json!(true);
+                folded["points"] = json!([[120, 60], [130, 65], [140, 70], [125, 80]]);
+            }
+            (
+                folded,
+                json!([0, 0, 0, 0, 1, 0]),
+                json!([0, 0, 0, 0, -1, 0]),
+            )
+        }
         "method" => (no, json!("rigid"), json!("affine")),
         "alpha" => (no, json!(1), json!(2)),
         "point_mass" => (lines, json!(1), json!(500)),
@@ -511,9 +531,9 @@ fn mask() -> Vec<u8> {
     )
 }
 
-/// A report counts the folds for which the other routes refuse.
+/// A report counts the folds for which the other routes refuse, whatever is in front.
 fn is_counted(route: &Route, field: &str) -> bool {
-    field == "folds" && route.path == "/report"
+    ["folds", "depth"].contains(&field) && route.path == "/report"
 }
 
 /// The fields of a route's object, those of `output` by their path.

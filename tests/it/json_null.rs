@@ -18,6 +18,7 @@ fn sample(name: &str) -> Value {
         "p" => json!([[2, 2], [[4, 3], [12, 9]]]),
         "q" => json!([[3, 2], [[4, 4], [12, 8]]]),
         "weights" => json!([1, 2]),
+        "depth" => json!([0, 1]),
         "method" => json!("similarity"),
         "alpha" => json!(1.5),
         "point_mass" => json!(7),

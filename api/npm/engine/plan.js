@@ -10,7 +10,8 @@ import { Pose } from "./pose.js";
  *
  * @typedef {{
  *   size: [width: number, height: number],
- *   method?: Exclude<Method, "arap">, alpha?: number, weights?: number[], point_mass?: number, smoothing?: number,
+ *   method?: Exclude<Method, "arap">, alpha?: number, weights?: number[], depth?: number[],
+ *   point_mass?: number, smoothing?: number,
  *   align?: "none" | "rigid" | "similarity" | "affine", units?: "px" | "normalized",
  *   grid?: object | "auto" | "pixel", coincident?: object, folds?: "report" | "reject",
  *   beier_neely?: { a?: number, b?: number, p?: number },

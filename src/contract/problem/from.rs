@@ -143,6 +143,11 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             .pointer(format!("/weights/{handle}"))
             .handle(handle)
             .actual(number(value)),
+        DeformError::DepthCount { .. } => new(Code::ShapeMismatch).pointer("/depth"),
+        DeformError::BadDepth { handle, value } => new(Code::BadValue)
+            .pointer(format!("/depth/{handle}"))
+            .handle(handle)
+            .actual(number(value)),
         DeformError::BadParameter { path, value, .. } => new(Code::BadValue)
             .pointer(format!("/{path}"))
             .actual(number(value)),
@@ -280,6 +285,21 @@ mod tests {
             Code::BadValue,
             Some("/p/3"),
             Some(3),
+        );
+        expect(
+            p(D::DepthCount { rest: 2, depths: 3 }),
+            Code::ShapeMismatch,
+            Some("/depth"),
+            None,
+        );
+        expect(
+            p(D::BadDepth {
+                handle: 5,
+                value: -1e300,
+            }),
+            Code::BadValue,
+            Some("/depth/5"),
+            Some(5),
         );
         expect(
             p(D::BadParameter {

@@ -64,6 +64,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
         (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
     ];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
+    let depth = prop::option::of(prop::collection::vec(1e-9..1e3, 1..5));
     let numbers = (
         prop::option::of(0.5..8.0),
         prop::option::of(1e-3..1e9),
@@ -73,7 +74,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
     (
         prop::collection::vec(handle(), 0..6),
-        weights,
+        (weights, depth),
         all::<Method>(),
         numbers,
         coincident,
@@ -88,7 +89,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
         .prop_map(
             |(
                 p,
-                weights,
+                (weights, depth),
                 method,
                 (alpha, point_mass, smoothing, own),
                 coincident,
@@ -99,6 +100,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                     .filter(|_| metric == Metric::Geodesic || method.info().mesh.is_some()),
                 p,
                 weights,
+                depth,
                 method,
                 alpha,
                 point_mass,

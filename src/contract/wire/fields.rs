@@ -71,6 +71,7 @@ object_fields! {
         align = "align",
         strength = "strength",
         weights = "weights",
+        depth = "depth",
         method = "method",
         alpha = "alpha",
         point_mass = "point_mass",

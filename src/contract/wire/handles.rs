@@ -13,7 +13,7 @@ const HANDLE: &str = "a handle: [x, y] or [[x, y], [x, y], ...]";
 pub(crate) const PLACE: &str = "a position: [x, y]";
 const COORDINATE: &str = "a number";
 
-/// Bytes of text of an ordinary `[x, y],`, and of a weight.
+/// Bytes of text of an ordinary `[x, y],`, and of a weight or a depth.
 const PLACE_TEXT: usize = 12;
 const WEIGHT_TEXT: usize = 4;
 
@@ -47,6 +47,12 @@ pub fn handles_bytes(handles: &[Handle]) -> u64 {
 pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
     node.list("an array of numbers", WEIGHT_TEXT, |index, item| {
         number(&item, "a positive number").map_err(|problem| problem.handle(index))
+    })
+}
+
+pub(crate) fn depths(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
+    node.list("an array of numbers", WEIGHT_TEXT, |index, item| {
+        number(&item, "a number between -1000 and 1000").map_err(|problem| problem.handle(index))
     })
 }
 

@@ -6,7 +6,7 @@ use mlswarp::warp::{Align, Folds, GridSpec, Method, Metric, RestSpec, Units};
 
 use super::enum_name::{RequestedMethod, enum_name, unknown_name};
 use super::fields::WarpFields;
-use super::handles::{handles, weights};
+use super::handles::{depths, handles, weights};
 use super::json::{Kind, Node, OptionalNode, optional};
 use super::landmarks::{Choice, Item, is_format, without_files};
 use super::number::{count, number, number_in, positive};
@@ -33,6 +33,8 @@ pub struct WarpPatch {
     pub strength: Option<f64>,
     /// One for each handle.
     pub weights: Option<Vec<f64>>,
+    /// One for each handle: which of what overlaps is in front.
+    pub depth: Option<Vec<f64>>,
     /// The method.
     pub method: Option<RequestedMethod>,
     /// Exponent of the fall-off.
@@ -89,6 +91,7 @@ impl WarpPatch {
             align: optional(fields.align, enum_name)?,
             strength: optional(fields.strength, strength)?,
             weights: optional(fields.weights, weights)?,
+            depth: optional(fields.depth, depths)?,
             method: optional(fields.method, enum_name)?,
             alpha: optional(fields.alpha, |n| number(n, "a number"))?,
             point_mass: optional(fields.point_mass, |n| number(n, "a number of pixels"))?,
@@ -143,14 +146,19 @@ impl WarpPatch {
         }
     }
 
-    /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p`
-    /// without them have none. Parameters belong to their method: another method that does not have
+    /// `base` with the given fields replaced. Weights, depths and pose belong to their handles:
+    /// other `p` without them have none. Parameters belong to their method: another method that does not have
     /// them drops them.
     pub fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() {
             self.weights
         } else {
             self.weights.or(base.rest.weights)
+        };
+        let depth = if self.p.is_some() {
+            self.depth
+        } else {
+            self.depth.or(base.rest.depth)
         };
         let has_unmatched = self.has_unmatched || self.p.is_none() && base.rest.has_unmatched;
         let is_auto = self.method == Some(RequestedMethod::Auto);
@@ -179,6 +187,8 @@ impl WarpPatch {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
                 weights,
+                // Zeros are the default, which records leave out.
+                depth: depth.filter(|depth| depth.iter().any(|depth| *depth != 0.0)),
                 method,
                 alpha: self.alpha.or(kept(base.rest.alpha)),
                 point_mass: self.point_mass.or(kept(base.rest.point_mass)),

@@ -29,6 +29,9 @@ pub struct SessionObject<'a> {
     /// One per handle, if the client gave them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<&'a [f64]>,
+    /// One per handle, if one of them is not 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth: Option<&'a [f64]>,
     /// The method.
     pub method: AsJson<Method>,
     /// Of methods that have it, as the following ones.

@@ -284,6 +284,19 @@ impl CoefficientTable {
         }
     }
 
+    /// Number of vertices.
+    pub(super) const fn len(&self) -> usize {
+        self.vertices
+    }
+
+    /// The blocks of a table whose coefficients have the weights of the columns, the third of each;
+    /// `None` if they do not.
+    pub(super) fn weights(&self) -> Option<impl Iterator<Item = &[CoefficientLanes]>> {
+        let per_block = lanes_per_block(self.form, self.terms);
+        (self.form == CoefficientForm::Rigid && per_block > 0)
+            .then(|| self.table.chunks_exact(per_block))
+    }
+
     /// The posed mesh of the grid that the plan was made for; `None` when cancelled.
     #[must_use]
     pub fn pose(

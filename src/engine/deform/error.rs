@@ -96,6 +96,20 @@ pub enum DeformError {
         /// The weight.
         value: f64,
     },
+    /// `depth` has another length than `p`.
+    DepthCount {
+        /// Handles at rest.
+        rest: usize,
+        /// Entries of `depth`.
+        depths: usize,
+    },
+    /// A depth is out of range.
+    BadDepth {
+        /// Index of the handle.
+        handle: usize,
+        /// The depth.
+        value: f64,
+    },
     /// The distance of coincidence is negative or beyond the range of coordinates.
     BadWithin {
         /// The distance, px.
@@ -297,6 +311,21 @@ impl fmt::Display for DeformError {
                 write!(
                     f,
                     "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9",
+                    DisplayNumber(*value)
+                )
+            }
+            Self::DepthCount { rest, depths } => {
+                write!(
+                    f,
+                    "`depth` has {}, but `p` has {}",
+                    counted(*depths, "number"),
+                    counted(*rest, "handle")
+                )
+            }
+            Self::BadDepth { handle, value } => {
+                write!(
+                    f,
+                    "the depth of handle {handle} is {}; depths must lie between -1000 and 1000",
                     DisplayNumber(*value)
                 )
             }

@@ -102,7 +102,7 @@ impl Matrix {
 }
 
 impl<'a> Inverse<'a> {
-    /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells
+    /// `mesh`: of the same pose; of cells that overlap, the one that it draws last counts. Its cells
     /// have 4 to 8 px: positions are not found where larger ones differ from f by more than
     /// `CELL_MARGIN_PX`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
@@ -161,7 +161,11 @@ impl<'a> Inverse<'a> {
                     .flat_map(|cell| self.starts(*cell, *y))
                     .collect();
                 // The others only if no cell contains the position.
-                starts.sort_by_key(|start| !start.is_inside);
+                starts.sort_by_key(|start| {
+                    let [i, j] = self.column_and_row(start.cell);
+                    let rank = self.mesh.rank(i, j, start.quad);
+                    (!start.is_inside, std::cmp::Reverse(rank))
+                });
                 starts
             })
             .collect();

@@ -17,4 +17,8 @@ pub(super) trait MeshSolver {
         displacements: &[Vec2],
         cancelled: &dyn Fn() -> bool,
     ) -> Option<(Vec<[f32; 2]>, f32)>;
+
+    /// Displacements that turn nothing, carried from the columns to the vertices: as smoothly as
+    /// possible, and nowhere beyond those of the columns. `None` when cancelled.
+    fn carry(&self, displacements: &[Vec2], cancelled: &dyn Fn() -> bool) -> Option<Vec<[f32; 2]>>;
 }

@@ -3,6 +3,8 @@
 //! extension of segments; and the thin-plate spline, which has no such local fit.
 
 #[forbid(unsafe_code)]
+mod carried;
+#[forbid(unsafe_code)]
 mod coefficient_table;
 #[forbid(unsafe_code)]
 mod coincidences;

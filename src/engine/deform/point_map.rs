@@ -100,6 +100,10 @@ pub(super) trait CoefficientsOf<const N: usize> {
         exact: bool,
         workspace: &mut Workspace<N>,
     );
+
+    /// The weight of each column at N positions into `workspace.rows.wn`, of maps that have them.
+    /// They add up to 1, or are 0 where no handle acts.
+    fn weights(&self, _set: &RestSet, _v: &Vertices<N>, _workspace: &mut Workspace<N>) {}
 }
 
 /// `f(v) - v` of N positions, px, and the least |m| (rigid), else 1.
@@ -140,6 +144,12 @@ pub(super) trait PointMap:
     /// The map of some of the handles, with the parameters and lengths of this one; for comparing
     /// methods. `None` when cancelled.
     fn of_part(&self, part: &RestSet, cancelled: IsCancelled<'_>) -> Option<Arc<dyn PointMap>>;
+
+    /// Whether columns have weights at a position. If not, f is linear in displacements that all
+    /// columns share, or is known on a mesh.
+    fn has_weights(&self) -> bool {
+        false
+    }
 
     /// The number of vectors that coefficients multiply.
     fn terms(&self, columns: usize) -> usize {

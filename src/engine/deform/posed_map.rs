@@ -34,15 +34,7 @@ impl RestDeformation {
     /// f of a pose, for many positions.
     #[must_use]
     pub fn deformation<'a>(&'a self, pose: &'a Pose) -> PosedMap<'a> {
-        let displacements = pose.displacements();
-        PosedMap {
-            field: self,
-            terms: self.terms_of(displacements),
-            without_coefficients: match self.set.rank {
-                Rank::Empty | Rank::OnePlace => None,
-                Rank::Collinear | Rank::Full => self.map.posed(&self.set, displacements, false),
-            },
-        }
+        PosedMap::of_displacements(self, pose.displacements())
     }
 
     /// f at a position; [`RestDeformation::deformation`] is for many.
@@ -182,6 +174,18 @@ pub fn pose_without_table(
 }
 
 impl<'a> PosedMap<'a> {
+    /// f of displaced columns.
+    pub(super) fn of_displacements(field: &'a RestDeformation, displacements: &'a [Vec2]) -> Self {
+        Self {
+            field,
+            terms: field.terms_of(displacements),
+            without_coefficients: match field.set.rank {
+                Rank::Empty | Rank::OnePlace => None,
+                Rank::Collinear | Rank::Full => field.map.posed(&field.set, displacements, false),
+            },
+        }
+    }
+
     pub(super) fn columns(&self) -> usize {
         self.field.handles.columns()
     }

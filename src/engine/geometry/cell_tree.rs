@@ -1,6 +1,6 @@
 //! A tree of boxes over the posed cells of a mesh: finds the cells that may contain a posed
 //! position. Each level has a box for every two by two of the level below. Memory: 22 bytes per
-//! cell. Cost: O(cells) to build, O(boxes that contain the position) to ask.
+//! cell, 4 more with an order of drawing. Cost: O(cells) to build, O(boxes that contain the position) to ask.
 
 use std::ops::ControlFlow;
 
@@ -21,6 +21,8 @@ const EMPTY_BOX: Bounds = [
 pub struct CellTree {
     /// The cells first, one box last.
     levels: Vec<TreeLevel>,
+    /// The place of each cell in the order of drawing, if that is not row by row.
+    ranks: Vec<u32>,
 }
 
 #[derive(Debug)]
@@ -65,7 +67,15 @@ impl CellTree {
             }
             levels.push(TreeLevel { columns, boxes });
         }
-        Self { levels }
+        let rank = |(i, j)| {
+            let quads = mesh.corners(i, j).count();
+            (0..quads).map(|quad| mesh.rank(i, j, quad)).max()
+        };
+        let cells = (0..grid.rows() - 1).flat_map(|j| (0..grid.columns() - 1).map(move |i| (i, j)));
+        let ranks = mesh.order().map_or_else(Vec::new, |_| {
+            cells.map(|cell| rank(cell).unwrap_or_default()).collect()
+        });
+        Self { levels, ranks }
     }
 
     /// Indices of the cells, row by row, whose boxes contain a position or are at most `margin` px
@@ -79,7 +89,8 @@ impl CellTree {
                 ControlFlow::Continue(())
             },
         );
-        cells.sort_unstable_by(|a, b| b.cmp(a));
+        let rank = |cell: usize| self.ranks.get(cell).copied().unwrap_or_default();
+        cells.sort_unstable_by_key(|cell| std::cmp::Reverse((rank(*cell), *cell)));
     }
 
     /// Passes the index of every cell whose box meets the box with these edges (left, top, right,

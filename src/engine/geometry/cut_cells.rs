@@ -128,6 +128,12 @@ impl CutCells {
         &self.cells[self.first[at] as usize..self.first[at + 1] as usize]
     }
 
+    /// The number of the first quad of a cell of the grid.
+    pub(super) fn first_of_cell(&self, column: u32, row: u32) -> usize {
+        let at = row as usize * (self.grid.columns() as usize - 1) + column as usize;
+        self.first[at] as usize
+    }
+
     /// The quad that draws a position at rest, and the position in it, each share in [0, 1].
     #[must_use]
     pub fn locate(&self, p: Point) -> Option<(&CutCell, f64, f64)> {

@@ -1,6 +1,8 @@
 //! The posed grid: the result of the mathematics and the input of the renderer.
 
-use super::{CutMesh, Grid, Point, Subdivision, Vec2};
+use std::sync::Arc;
+
+use super::{CutMesh, DrawingOrder, Grid, Point, Subdivision, Vec2};
 
 /// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch,
 /// or as those of the smaller cells of its [`Subdivision`].
@@ -14,6 +16,7 @@ pub struct Mesh {
     displacement: Vec<[f32; 2]>,
     subdivision: Subdivision,
     cut: Option<CutMesh>,
+    order: Option<Arc<DrawingOrder>>,
 }
 
 impl Mesh {
@@ -40,18 +43,38 @@ impl Mesh {
             displacement,
             subdivision: Subdivision::NONE,
             cut: None,
+            order: None,
         }
     }
 
     /// The mesh that leaves every vertex at rest.
     #[must_use]
     pub fn identity(grid: Grid) -> Self {
-        Self {
-            grid,
-            displacement: vec![[0.0; 2]; grid.len()],
-            subdivision: Subdivision::NONE,
-            cut: None,
-        }
+        Self::new(grid, vec![[0.0; 2]; grid.len()])
+    }
+
+    /// The same mesh, whose cells are drawn in another order than row by row, if there is one: one
+    /// of all cells of the grid, or of all quads of a cut grid.
+    #[must_use]
+    pub fn in_order(self, order: Option<Arc<DrawingOrder>>) -> Self {
+        Self { order, ..self }
+    }
+
+    /// The order in which the cells are drawn, if it is not row by row.
+    #[must_use]
+    pub const fn order(&self) -> Option<&Arc<DrawingOrder>> {
+        self.order.as_ref()
+    }
+
+    /// The place of what is drawn of a cell in the order of drawing, of a cut grid that of one of
+    /// its quads; 0 if cells are drawn row by row.
+    #[must_use]
+    pub fn rank(&self, column: u32, row: u32, quad: usize) -> u32 {
+        let cell = || row as usize * (self.grid.columns() as usize - 1) + column as usize;
+        let index = |cut: &CutMesh| cut.cells().first_of_cell(column, row) + quad;
+        self.order.as_ref().map_or(0, |order| {
+            order.rank(self.cut.as_ref().map_or_else(cell, index))
+        })
     }
 
     /// The same mesh, with some of its cells drawn as smaller ones.

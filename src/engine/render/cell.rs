@@ -52,18 +52,27 @@ pub(super) fn draw_row(
             if rows == 0 {
                 continue;
             }
-            let corners = [
-                lattice.corner(i, j),
-                lattice.corner(i + 1, j),
-                lattice.corner(i + 1, j + 1),
-                lattice.corner(i, j + 1),
-            ];
+            let corners = lattice.corners(i, j);
             if seen.convex[k] == 0 {
                 draw(kernel, &corners, lattice, rows, raster);
             } else {
                 kernel.fill(&Piece::cell(&seen, k, &corners), rows, raster);
             }
         }
+    }
+}
+
+/// Draws one cell, in the open rows whose bits are set.
+pub(super) fn draw_cell(
+    kernel: Kernel,
+    lattice: &SnappedGrid,
+    (i, j): (usize, usize),
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
+    match lattice.fine.find(i, j) {
+        Some(cell) => draw_fine(kernel, lattice, cell, rows, raster),
+        None => draw_part(kernel, &lattice.corners(i, j), lattice, rows, raster),
     }
 }
 

@@ -128,7 +128,10 @@ impl SnappedGrid {
         let crossing_error = CROSSING_SHARE * mesh.subdivision().drawn_within();
         let fine = SnappedSubdividedCells::new(mesh, (scale, origin), &axes, kernel);
         let cut = mesh.cut_mesh();
-        let cut = cut.map(|cut| SnappedCut::new(cut, (scale, origin), &axes, kernel));
+        let cut = cut.map(|cut| {
+            let ordered = (cut, mesh.order().map(|order| &**order));
+            SnappedCut::new(ordered, (scale, origin), &axes, kernel)
+        });
         let mut lattice = Self {
             columns,
             rows,
@@ -144,6 +147,7 @@ impl SnappedGrid {
             block_ranges,
             fine,
             cut,
+            order: mesh.order().cloned(),
         };
         lattice.cover_fine_cells();
         lattice

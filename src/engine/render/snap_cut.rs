@@ -6,12 +6,12 @@ use super::fixed_point::{Corner, YRange};
 use super::kernel::Kernel;
 use super::snap_subdivided::SamplerCoordinates;
 use super::snapped_cut::{SnappedCut, SnappedQuad};
-use crate::geometry::{CutCell, CutMesh};
+use crate::geometry::{CutCell, CutMesh, DrawingOrder};
 
 impl SnappedCut {
     /// Snaps the quads of a mesh; arguments as of [`super::snapped_grid::SnappedGrid::new`].
     pub(super) fn new(
-        mesh: &CutMesh,
+        (mesh, order): (&CutMesh, Option<&DrawingOrder>),
         (scale, origin): ([f64; 2], [f64; 2]),
         sampled: &impl SamplerCoordinates,
         kernel: Kernel,
@@ -63,9 +63,17 @@ impl SnappedCut {
                 ],
             }
         };
+        let cells = rest.cells();
+        let quads = match order {
+            None => cells.iter().map(quad).collect(),
+            Some(order) => {
+                let ordered = order.cells().iter();
+                ordered.map(|cell| quad(&cells[*cell as usize])).collect()
+            }
+        };
         Self {
             rest: Arc::clone(rest),
-            quads: rest.cells().iter().map(quad).collect(),
+            quads,
         }
     }
 }

@@ -4,12 +4,15 @@
 //! vertex of a row is repeated). Ranges of y bound each row of cells and each block of cells, so
 //! that a strip of target rows finds the cells that it meets. Memory and time: O(vertices).
 
+use std::sync::Arc;
+
 pub(super) use super::fixed_point::{
     BLOCK_COLUMNS, Corner, HALF_PX, LONGEST_SIDE_STEPS, MAX_STEPS, PX_PER_STEP, STEPS_PER_PX,
     YRange, column_centre, first_row, row_centre,
 };
 use super::snapped_cut::SnappedCut;
 use super::subdivided_cells::SnappedSubdividedCells;
+use crate::geometry::DrawingOrder;
 
 /// The posed grid on the lattice.
 #[derive(Debug)]
@@ -42,6 +45,8 @@ pub(super) struct SnappedGrid {
     pub(super) fine: SnappedSubdividedCells,
     /// The quads that are drawn instead of the cells, if the grid is cut.
     pub(super) cut: Option<SnappedCut>,
+    /// The order in which cells are drawn where they overlap, if it is not row by row.
+    pub(super) order: Option<Arc<DrawingOrder>>,
 }
 
 impl SnappedGrid {
@@ -68,6 +73,11 @@ impl SnappedGrid {
         }
     }
 
+    /// The corners of a cell: 00, 10, 11, 01.
+    pub(super) fn corners(&self, i: usize, j: usize) -> [Corner; 4] {
+        [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)].map(|(i, j)| self.corner(i, j))
+    }
+
     /// Range of y of a cell.
     pub(super) fn cell_range(&self, i: usize, j: usize) -> YRange {
         let above = j * self.pitch + i;
@@ -89,13 +99,7 @@ impl SnappedGrid {
 
     /// Extent of a cell in x.
     pub(super) fn cell_extent(&self, i: usize, j: usize) -> (i32, i32) {
-        let x = [
-            self.corner(i, j),
-            self.corner(i + 1, j),
-            self.corner(i + 1, j + 1),
-            self.corner(i, j + 1),
-        ]
-        .map(|c| c.x);
+        let x = self.corners(i, j).map(|c| c.x);
         let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| {
             (left.min(x), right.max(x))
         });

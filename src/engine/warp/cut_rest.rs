@@ -12,7 +12,7 @@ use crate::deform::{
     CoefficientTable, DeformError, Handle, IsCancelled, MeshMethod, Pose, PoseQuality,
     RestDeformation,
 };
-use crate::geometry::{CutCells, CutMesh, Grid, Mesh, Point};
+use crate::geometry::{CutCells, CutMesh, DrawingOrder, Grid, Mesh, Point};
 use crate::pixmap::Extent;
 use crate::topology::{CutLattice, Distances, LatticeSize, MAX_SPACING, Mask, Nodes};
 
@@ -115,6 +115,30 @@ impl CutRest {
         let (moved, quality) = table.displace(pose, cancelled)?;
         let cut = CutMesh::new(Arc::clone(&self.cells), moved);
         Some((Mesh::cut(cut), quality))
+    }
+
+    /// Numbers of the columns, carried to the vertices; `None` when cancelled.
+    pub(super) fn carried(
+        &self,
+        field: &RestDeformation,
+        of_columns: &[f64],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<f32>> {
+        if field.mesh_cells().is_some() {
+            return field.carried_on_mesh(of_columns, cancelled);
+        }
+        let vertex = |k: usize| (self.vertices[k].0, Some(self.vertices[k].1));
+        field.carried(of_columns, self.vertices.len(), &vertex, cancelled)
+    }
+
+    /// The order of drawing by the depths of the vertices.
+    pub(super) fn order(&self, depth: &[f32], range: [f64; 2]) -> Option<DrawingOrder> {
+        DrawingOrder::of_quads(&self.cells, depth, range)
+    }
+
+    /// Number of quads.
+    pub(super) fn quads(&self) -> u64 {
+        self.cells.cells().len() as u64
     }
 
     /// Number of vertices.

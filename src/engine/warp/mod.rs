@@ -36,7 +36,9 @@ mod region;
 #[cfg(feature = "codec")]
 mod render_job;
 mod resolved_rest;
+mod rest_depth;
 mod rest_parameters;
+mod rest_warnings;
 #[cfg(any(not(feature = "codec"), test))]
 mod sha256;
 mod spec;

@@ -114,6 +114,7 @@ impl PosedMesh {
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, f, pose, cancelled)?;
+        let mesh = setup.in_order(mesh, plan, cancelled)?;
         let Folding { orientation, cells } = mesh.folding(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
@@ -136,7 +137,10 @@ impl PosedMesh {
             report.warn(Warning::Mirrored);
         }
         let (units, handles) = (setup.units(), setup.posed_handles(pose));
-        let (digest, unit) = (digest(setup, pose), setup.unit());
+        let (mut digest, unit) = (digest(setup, pose), setup.unit());
+        if let Some(depth) = setup.depth.as_ref().filter(|_| mesh.order().is_some()) {
+            digest = depth.digest(digest);
+        }
         Ok(Self {
             mesh,
             report,

@@ -4,7 +4,8 @@
 use std::sync::Arc;
 
 use super::cut_rest::{self, CutRest};
-use super::plausibility::{self, PosedHandles};
+use super::plausibility;
+use super::rest_depth::RestDepth;
 use super::rest_parameters::{
     AUTO_CELL, check_parameters, field, plan_key, resolve_grid, to_px, unit,
 };
@@ -14,12 +15,11 @@ use super::{
     Warning, WarpError, work,
 };
 use crate::deform::{
-    self, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap,
-    RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
+    self, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap, RestDeformation,
+    SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh};
 use crate::pixmap::Extent;
-use crate::render::Canvas;
 use crate::topology::Mask;
 
 /// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices
@@ -52,7 +52,9 @@ pub struct ResolvedRest {
     /// The quads that are drawn instead of the cells of the grid, if that is cut along the mask.
     pub(super) cut: Option<Arc<CutRest>>,
     /// The warnings of the rest handles.
-    warnings: Vec<Warning>,
+    pub(super) warnings: Vec<Warning>,
+    /// The depths of the handles, if they differ.
+    pub(super) depth: Option<Arc<RestDepth>>,
     /// Of the drawn picture, px.
     tolerance: Option<f64>,
     plan_key: Digest,
@@ -104,6 +106,7 @@ impl ResolvedRest {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most(Quantity::HandleColumns, limits.columns as u64, columns)?;
         check_parameters(rest)?;
+        rest.check_depth().map_err(WarpError::Rest)?;
         let mask = cut_rest::mask_of(rest, extent)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
         let grid = match &mask {
@@ -138,6 +141,7 @@ impl ResolvedRest {
             known = None;
             warnings.push(Warning::MaskIsEverything);
         }
+        let depth = RestDepth::new(&field, rest.depth.as_deref());
         let resolved = Self::on_grid(
             Arc::new(field),
             grid,
@@ -145,6 +149,7 @@ impl ResolvedRest {
             (rest.units, mixed, known, warnings),
             limits,
         );
+        let resolved = Self { depth, ..resolved };
         match mask {
             Some(mask) => resolved.cut_along(&mask, limits, cancelled),
             None => Ok(resolved),
@@ -199,6 +204,7 @@ impl ResolvedRest {
             mask,
             cut: None,
             warnings,
+            depth: None,
             tolerance,
             plan_key,
             table_bytes,
@@ -232,13 +238,9 @@ impl ResolvedRest {
         )?;
         let (mask, warnings) = (self.mask.clone(), self.warnings.clone());
         let rest = (self.units, self.mixed, mask, warnings);
-        Ok(Self::on_grid(
-            Arc::clone(&self.field),
-            grid,
-            GridSpec::Auto,
-            rest,
-            limits,
-        ))
+        let depth = self.depth.as_ref().map(|depth| depth.anew());
+        let resolved = Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits);
+        Ok(Self { depth, ..resolved })
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, the
@@ -437,55 +439,6 @@ impl ResolvedRest {
     /// px in one unit of the client's coordinates, per axis.
     pub(super) fn unit(&self) -> (f64, f64) {
         unit(self.units, &self.grid)
-    }
-
-    /// The warnings of the rest handles, whatever the pose.
-    #[must_use]
-    pub fn rest_warnings(&self) -> &[Warning] {
-        &self.warnings
-    }
-
-    /// The warnings of the rest handles and of a pose, each once, in their order; without those
-    /// that only a posed grid shows. `canvas`: the part of the plane that is drawn, where that is
-    /// meant to contain the handles.
-    #[must_use]
-    pub fn warnings(&self, pose: &Pose, canvas: Option<Canvas>) -> Vec<Warning> {
-        let mut warnings = self.warnings_anywhere(pose);
-        warnings.extend(self.posed_handles(pose).warnings(self.units, canvas));
-        Warning::in_order(warnings)
-    }
-
-    /// Those that do not depend on the canvas.
-    pub(super) fn warnings_anywhere(&self, pose: &Pose) -> Vec<Warning> {
-        let mut warnings: Vec<_> = self
-            .field
-            .warnings(pose)
-            .into_iter()
-            .map(Warning::Deform)
-            .collect();
-        warnings.extend_from_slice(&self.warnings);
-        warnings.extend(self.unmet(pose));
-        Warning::in_order(warnings)
-    }
-
-    pub(super) fn posed_handles(&self, pose: &Pose) -> PosedHandles {
-        PosedHandles::new(self.field.handles(), pose, &self.grid)
-    }
-
-    /// What the pose asks for and the method cannot do.
-    fn unmet(&self, pose: &Pose) -> Option<Warning> {
-        let info = self.field.method().info();
-        if info.can_mirror && info.can_scale {
-            return None;
-        }
-        match self.field.demand(pose)? {
-            Demand::Mirrored { determinant } => {
-                (!info.can_mirror).then_some(Warning::MirroredUseAffine { determinant })
-            }
-            Demand::Scaled { scale } => {
-                (!info.can_scale).then_some(Warning::ScaledUseSimilarity { scale })
-            }
-        }
     }
 
     /// The resolved grid.

@@ -124,6 +124,9 @@ pub struct RestSpec {
     pub p: Vec<Handle>,
     /// One weight per handle.
     pub weights: Option<Vec<f64>>,
+    /// One depth per handle, default 0: where the posed image overlaps itself, cells of more depth
+    /// lie in front.
+    pub depth: Option<Vec<f64>>,
     /// The method.
     pub method: Method,
     /// Fall-off; default 1 for points alone, 2 with any line. Whether a method has this parameter

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::Alignment;
+use mlswarp::warp::{Alignment, ResolvedRest, RestSpec};
 
 use super::App;
 use super::drawable::DrawnContent;
 use super::fit::choose_method;
 use super::parts::plans::HeldSetup;
 use super::reading::{Held, part};
+use crate::cache::CacheEntry;
 use crate::pool::{Cancel, Ticket};
 use crate::problem::Problem;
 use crate::store::NamedFile;
@@ -55,9 +56,21 @@ pub(crate) async fn resolve_on(
 /// pool. Errors: Wrong handles, or too little memory.
 pub(crate) fn resolve(
     app: &App,
-    mut object: Held<WarpObject>,
+    object: Held<WarpObject>,
     extent: Extent,
     content: Option<&DrawnContent>,
+    cancel: &Cancel,
+) -> Result<Resolved, Problem> {
+    let new_setup = |rest: &RestSpec| app.plans.new_setup(rest, extent, content, cancel);
+    resolve_by(app, object, extent, new_setup, cancel)
+}
+
+/// Like [`resolve`], with a setup that `setup_of` makes.
+pub(crate) fn resolve_by(
+    app: &App,
+    mut object: Held<WarpObject>,
+    extent: Extent,
+    setup_of: impl FnOnce(&RestSpec) -> Result<CacheEntry<ResolvedRest>, Problem>,
     cancel: &Cancel,
 ) -> Result<Resolved, Problem> {
     object.output.check(extent, &app.plans.limits)?;
@@ -69,7 +82,7 @@ pub(crate) fn resolve(
     });
     let alignment = object.settle_pose(extent)?;
     choose_method(app, &mut object, extent, cancel)?;
-    let setup = app.plans.new_setup(&object.rest, extent, content, cancel)?;
+    let setup = setup_of(&object.rest)?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     let q = part(&mut object, |object| object.q.take().unwrap_or_default());
     Ok(Resolved {

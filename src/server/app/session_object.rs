@@ -106,7 +106,7 @@ impl SessionText {
 }
 
 /// Maximum length of the text of a record: two coordinates of each position on either side, its
-/// weight, and its index in a group of coincident points.
+/// weight, its depth, and its index in a group of coincident points.
 pub(crate) fn longest_text(record: &Record) -> u64 {
     let posed = record.pose.iter().flat_map(|pose| &pose.q);
     let places: usize = record
@@ -118,7 +118,7 @@ pub(crate) fn longest_text(record: &Record) -> u64 {
         .sum();
     FIXED_PART
         + (2 * NUMBER_BYTES + BRACKET_BYTES) * places as u64
-        + 2 * NUMBER_BYTES * record.rest.p.len() as u64
+        + 3 * NUMBER_BYTES * record.rest.p.len() as u64
 }
 
 /// Writes what stays the same within a revision; its text has at most `length` bytes.
@@ -157,6 +157,7 @@ pub(crate) fn revision_text(
             .map(|pose| pose.strength)
             .filter(|strength| strength.to_bits() != 1.0_f64.to_bits()),
         weights: rest.weights.as_deref(),
+        depth: rest.depth.as_deref(),
         method: AsJson(rest.method),
         alpha: summary.alpha,
         point_mass: summary.point_mass,

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use bytes::Bytes;
-use mlswarp::warp::{RasterSource, RestSummary};
+use mlswarp::warp::{RasterSource, RestSpec, RestSummary};
 
 use super::draw::DrawJob;
 use super::drawable::DrawnContent;
 use super::parts::plans::{HeldSetup, revision_key};
-use super::resolved::{Resolved, resolve};
+use super::resolved::{Resolved, resolve_by};
 use super::session_object::ShownSession;
 use super::upload::{Upload, prepare};
 use super::{App, SESSION_ATTEMPTS};
@@ -211,8 +211,25 @@ async fn try_replace_handles(
     } else {
         (ticket, None)
     };
-    let (of_job, extent) = (app.clone(), old.extent);
-    let settle = move |cancel: &Cancel| resolve(&of_job, object, extent, content.as_ref(), cancel);
+    let (plans, before) = (Arc::clone(&app.plans), Arc::clone(old));
+    let of_job = app.clone();
+    // Another depth is often all that changes when a drag begins.
+    let known = plans.setups.peek(revision_key(old));
+    let settle = move |cancel: &Cancel| {
+        let extent = before.extent;
+        let setup_of = |rest: &RestSpec| {
+            let known = known.as_ref().map(|setup| (&before.rest, setup));
+            match known
+                .map(|known| plans.with_depth(rest, known))
+                .transpose()?
+                .flatten()
+            {
+                Some(setup) => Ok(setup),
+                None => plans.new_setup(rest, extent, content.as_ref(), cancel),
+            }
+        };
+        resolve_by(&of_job, object, extent, setup_of, cancel)
+    };
     let Resolved {
         object,
         pose,

@@ -47,6 +47,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "page.css" CSS, "stage.css" CSS,
         "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
             "annotations.js" JS, "api.js" JS, "blend.js" JS, "canvas.js" JS, "choices.js" JS,
+            "depth.js" JS,
         "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "frame.js" JS,
             "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,

@@ -281,8 +281,9 @@ export class MlsWarp extends Base {
     if (!fits(rest, posed)) throw new TypeError("q has not the shape of p");
     if (JSON.stringify(warp) === JSON.stringify(this.warp)) return;
     this.#posed = null;
-    const { weights, point_mass: mass, strength = 1 } = warp;
-    this.#set({ ...settingsOf(warp), handles: handlesOf(rest, posed, weights, mass) }, strength);
+    const { weights, depth, point_mass: mass, strength = 1 } = warp;
+    const handles = handlesOf(rest, posed, weights, mass, depth);
+    this.#set({ ...settingsOf(warp), handles }, strength);
   }
 
   get method() {

@@ -52,9 +52,10 @@ export const fits = (p, q) =>
  * @param {Page.Place[][]} q of the same shape
  * @param {number[]} [weights]
  * @param {number} [mass]
+ * @param {number[]} [depth]
  * @returns {Page.Handle[]}
  */
-export function handlesOf(p, q, weights, mass) {
+export function handlesOf(p, q, weights, mass, depth) {
   return p.map((rest, k) => ({
     id: k + 1,
     ...(pinOf(rest, q[k], weights?.[k], mass) ?? {
@@ -62,6 +63,7 @@ export function handlesOf(p, q, weights, mass) {
       q: q[k],
       ...(weights && { weight: weights[k] }),
     }),
+    ...(depth?.[k] && { depth: depth[k] }),
   }));
 }
 

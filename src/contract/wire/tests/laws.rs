@@ -83,6 +83,7 @@ pub(super) fn written(warp: &WarpObject) -> Value {
     let RestSpec {
         p,
         weights,
+        depth,
         method,
         alpha,
         point_mass,
@@ -98,6 +99,7 @@ pub(super) fn written(warp: &WarpObject) -> Value {
     } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights,
+            "depth": depth,
             "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
         "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid),

@@ -4,6 +4,7 @@
 //! touched + pixels).
 
 mod cut_strips;
+mod ordered_cells;
 mod row_spans;
 
 use std::ops::Range;
@@ -374,6 +375,9 @@ impl Drawing {
         // From the last cell back and into uncovered pixels only: the same picture, without
         // repeated work where cells overlap.
         (raster.over, raster.open) = (false, divided);
+        if let Some(order) = &self.lattice.order {
+            return self.draw_in_order(order, strip, (blocks, per_cell), &mut raster);
+        }
         for j in self.lattice.rows_touching(strip).rev() {
             if raster.open == 0 {
                 break;

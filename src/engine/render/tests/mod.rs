@@ -13,6 +13,7 @@ mod coverage;
 mod cut;
 mod extremes;
 mod inverse;
+mod order;
 mod photograph;
 mod pictures;
 mod reference;

@@ -1,5 +1,5 @@
 //! The slow reference: for each pixel centre the cell whose bilinear patch contains it (Newton's
-//! method, later cells win), and float samples, premultiplied. It shares only the mesh and the box
+//! method, later cells win, or those of a higher rank), and float samples, premultiplied. It shares only the mesh and the box
 //! reduction with the rasteriser.
 
 use super::*;
@@ -10,27 +10,28 @@ pub(super) fn places(mesh: &Mesh, target: Extent) -> Vec<Option<Point>> {
     let (width, height) = (target.width() as usize, target.height() as usize);
     let (sx, sy) = (width as f64 / grid.width(), height as f64 / grid.height());
     let mut places = vec![None; width * height];
-    for j in 0..grid.rows() - 1 {
-        for i in 0..grid.columns() - 1 {
-            let corner = |di, dj| {
-                let p = mesh.posed(i + di, j + dj);
-                Point::new(p.x * sx, p.y * sy)
-            };
-            let (p00, p10, p01, p11) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
-            let low = |a: f64, b: f64, c: f64, d: f64| {
-                (a.min(b).min(c).min(d) - 0.5).floor().max(0.0) as usize
-            };
-            let high = |a: f64, b: f64, c: f64, d: f64, n: usize| {
-                ((a.max(b).max(c).max(d) + 0.5).ceil().max(0.0) as usize).min(n)
-            };
-            for y in low(p00.y, p10.y, p01.y, p11.y)..high(p00.y, p10.y, p01.y, p11.y, height) {
-                for x in low(p00.x, p10.x, p01.x, p11.x)..high(p00.x, p10.x, p01.x, p11.x, width) {
-                    let centre = Point::new(x as f64 + 0.5, y as f64 + 0.5);
-                    if let Some((s, t)) = invert(p00, p10, p01, p11, centre) {
-                        let (x0, x1, y0, y1) = (grid.x(i), grid.x(i + 1), grid.y(j), grid.y(j + 1));
-                        places[y * width + x] =
-                            Some(Point::new(x0 + s * (x1 - x0), y0 + t * (y1 - y0)));
-                    }
+    let cells = (0..grid.rows() - 1).flat_map(|j| (0..grid.columns() - 1).map(move |i| (i, j)));
+    let mut cells: Vec<_> = cells.collect();
+    cells.sort_by_key(|(i, j)| mesh.rank(*i, *j, 0));
+    for (i, j) in cells {
+        let corner = |di, dj| {
+            let p = mesh.posed(i + di, j + dj);
+            Point::new(p.x * sx, p.y * sy)
+        };
+        let (p00, p10, p01, p11) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
+        let low = |a: f64, b: f64, c: f64, d: f64| {
+            (a.min(b).min(c).min(d) - 0.5).floor().max(0.0) as usize
+        };
+        let high = |a: f64, b: f64, c: f64, d: f64, n: usize| {
+            ((a.max(b).max(c).max(d) + 0.5).ceil().max(0.0) as usize).min(n)
+        };
+        for y in low(p00.y, p10.y, p01.y, p11.y)..high(p00.y, p10.y, p01.y, p11.y, height) {
+            for x in low(p00.x, p10.x, p01.x, p11.x)..high(p00.x, p10.x, p01.x, p11.x, width) {
+                let centre = Point::new(x as f64 + 0.5, y as f64 + 0.5);
+                if let Some((s, t)) = invert(p00, p10, p01, p11, centre) {
+                    let (x0, x1, y0, y1) = (grid.x(i), grid.x(i + 1), grid.y(j), grid.y(j + 1));
+                    places[y * width + x] =
+                        Some(Point::new(x0 + s * (x1 - x0), y0 + t * (y1 - y0)));
                 }
             }
         }

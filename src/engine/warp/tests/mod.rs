@@ -8,6 +8,7 @@
 
 mod alignment;
 mod arap;
+mod depth;
 mod drawn;
 mod geodesic;
 mod identity;

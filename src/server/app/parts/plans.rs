@@ -85,7 +85,33 @@ impl Plans {
             new()?
         };
         held.shrink_to(of_handles + bytes.kept);
+        self.admission
+            .reserve_more(&mut held, setup.order_bytes())?;
         Ok(CacheEntry::new(setup, held))
+    }
+
+    /// The setup of rest handles that differ from others, of which there is one, in their depths
+    /// alone; `None` if they differ otherwise.
+    pub(crate) fn with_depth(
+        &self,
+        rest: &RestSpec,
+        (before, setup): (&RestSpec, &HeldSetup),
+    ) -> Result<Option<CacheEntry<ResolvedRest>>, Problem> {
+        let depth = before.depth.clone();
+        if *before
+            != (RestSpec {
+                depth,
+                ..rest.clone()
+            })
+        {
+            return Ok(None);
+        }
+        // It shares most of its memory with the other one, and may outlive it.
+        let mut held = self.admission.reserve(MemoryClass::Plan, setup.bytes())?;
+        let setup = setup.with_depth(rest)?;
+        self.admission
+            .reserve_more(&mut held, setup.order_bytes())?;
+        Ok(Some(CacheEntry::new(setup, held)))
     }
 
     /// The resolved setup of a session.

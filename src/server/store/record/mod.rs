@@ -61,6 +61,7 @@ fn base() -> WarpObject {
         rest: RestSpec {
             p: Vec::new(),
             weights: None,
+            depth: None,
             method: Method::Rigid,
             alpha: None,
             point_mass: None,
@@ -133,6 +134,7 @@ impl Serialize for Warp<'_> {
         let RestSpec {
             p,
             weights,
+            depth,
             method,
             alpha,
             point_mass,
@@ -181,6 +183,9 @@ impl Serialize for Warp<'_> {
         serialize_own(&mut object, *own)?;
         if let Some(threshold) = mask_threshold {
             object.serialize_entry("mask", &BTreeMap::from([("threshold", threshold)]))?;
+        }
+        if let Some(depth) = depth {
+            object.serialize_entry("depth", depth)?;
         }
         if let Some(Pose { q, strength }) = &record.pose {
             object.serialize_entry("q", &AsJson(q.as_slice()))?;

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use self::held::held_positions;
 use self::mesh::{LatticeMesh, MAX_VERTICES};
 use self::moved::{MovedPart, bytes_of, moved_parts};
-use self::part::PoseSpace;
+use self::part::{PoseSpace, RigidPart};
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
 use crate::deform::columns::rank;
 use crate::deform::form::CoefficientForm;
@@ -178,6 +178,16 @@ impl PosableMesh {
     /// The displacements of all vertices of the lattice, px, and the least share of itself that a
     /// triangle keeps in the first step; `None` when cancelled.
     fn displace(&self, d: &[Vec2], cancelled: &dyn Fn() -> bool) -> Option<(Vec<Vec2>, f64)> {
+        self.moved(d, RigidPart::pose, cancelled)
+    }
+
+    /// What `of_part` makes of the displacements of what is held in a part.
+    fn moved(
+        &self,
+        d: &[Vec2],
+        of_part: impl Fn(&RigidPart, &[Vec2], &mut PoseSpace) -> (Vec<Vec2>, f64),
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<(Vec<Vec2>, f64)> {
         let mut u = vec![Vec2::ZERO; self.mesh.lattice().vertices().len()];
         let (mut least, mut space) = (1.0_f64, PoseSpace::default());
         for part in &self.parts {
@@ -196,7 +206,7 @@ impl PosableMesh {
                     .iter()
                     .for_each(|v| u[*v as usize] = targets[0]),
                 Some(rigid) => {
-                    let (moved, share) = rigid.pose(&targets, &mut space);
+                    let (moved, share) = of_part(rigid, &targets, &mut space);
                     least = least.min(share);
                     for (vertex, moved) in part.vertices.iter().zip(moved) {
                         u[*vertex as usize] = moved;
@@ -218,6 +228,13 @@ impl MeshSolver for PosableMesh {
         #[expect(clippy::cast_possible_truncation, reason = "compared with 0.1")]
         let least = least as f32;
         Some((self.mesh.drawn(&u), least))
+    }
+
+    fn carry(&self, d: &[Vec2], cancelled: &dyn Fn() -> bool) -> Option<Vec<[f32; 2]>> {
+        let of_part =
+            |part: &RigidPart, d: &[Vec2], space: &mut PoseSpace| (part.carry(d, space), 1.0);
+        let (u, _) = self.moved(d, of_part, cancelled)?;
+        Some(self.mesh.drawn(&u))
     }
 }
 

@@ -429,6 +429,16 @@ impl RigidPart {
         u
     }
 
+    /// The displacements of the vertices that differ least along the edges, with those of the
+    /// anchors: no triangle turns.
+    pub(super) fn carry(&self, targets: &[Vec2], space: &mut PoseSpace) -> Vec<Vec2> {
+        let mut u = vec![Vec2::ZERO; self.mesh.positions.len()];
+        let targets = targets.iter().map(|d| *d * self.congruent.stretch);
+        self.congruent
+            .pull(&self.order, &self.anchors, targets.collect(), &mut u, space);
+        u
+    }
+
     /// The displacements of the vertices when the anchors are displaced by `targets`, px, and the
     /// least share that a triangle of the first step keeps of itself; 1 in the identity.
     pub(super) fn pose(&self, targets: &[Vec2], space: &mut PoseSpace) -> (Vec<Vec2>, f64) {

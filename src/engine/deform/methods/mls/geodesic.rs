@@ -200,11 +200,12 @@ impl GeodesicLeastSquares {
         }
     }
 
-    /// The coefficients of one position in `workspace`; `None` if it is at rest in every pose.
+    /// The coefficients of one position in `workspace`, of the form of its part or of a `given` one;
+    /// `None` if it is at rest in every pose.
     fn one(
         &self,
-        v: Point,
-        pixel: u32,
+        (v, pixel): (Point, u32),
+        given: Option<CoefficientForm>,
         exact: bool,
         workspace: &mut Workspace<1>,
     ) -> Option<&MaskPart> {
@@ -225,7 +226,7 @@ impl GeodesicLeastSquares {
             falloff: self.falloff,
             beta: None,
             point_mass: self.point_mass,
-            form: part.set.form,
+            form: given.unwrap_or(part.set.form),
             exact,
         };
         kernel::rows(&inputs, &Vertices::all(v), scratch, rows);
@@ -257,10 +258,11 @@ fn part_of(sources: &HandleElements, members: &[usize]) -> HandleElements {
     part
 }
 
-impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
-    fn coefficients(
+impl GeodesicLeastSquares {
+    /// The coefficients of N positions, of the form of their parts or of a `given` one.
+    fn rows<const N: usize>(
         &self,
-        _set: &RestSet,
+        given: Option<CoefficientForm>,
         v: &Vertices<N>,
         exact: bool,
         workspace: &mut Workspace<N>,
@@ -270,11 +272,13 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
         let mut single = Workspace::<1>::new(rows.h.len());
         for lane in 0..N {
             let at = Point::new(v.x[lane], v.y[lane]);
-            let Some(part) = self.one(at, v.pixel[lane], exact, &mut single) else {
+            let at = (at, v.pixel[lane]);
+            let Some(part) = self.one(at, given, exact, &mut single) else {
                 continue;
             };
             let points = &part.set.sources.points;
-            let is_rigid = part.set.form == CoefficientForm::Rigid;
+            let form = given.unwrap_or(part.set.form);
+            let is_rigid = form == CoefficientForm::Rigid;
             if part.set.rank == Rank::OnePlace {
                 // A translation, by the mean of the handles.
                 let total: f64 = points.iter().map(|point| point.mass).sum();
@@ -290,7 +294,7 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
             }
             for &column in &part.columns {
                 rows.h[column][0][lane] = single.rows.h[column][0][0];
-                if part.set.form != CoefficientForm::Real {
+                if form != CoefficientForm::Real {
                     rows.h[column][1][lane] = single.rows.h[column][1][0];
                 }
                 if is_rigid {
@@ -304,7 +308,27 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
     }
 }
 
+impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
+    fn coefficients(
+        &self,
+        _set: &RestSet,
+        v: &Vertices<N>,
+        exact: bool,
+        workspace: &mut Workspace<N>,
+    ) {
+        self.rows(None, v, exact, workspace);
+    }
+
+    fn weights(&self, _set: &RestSet, v: &Vertices<N>, workspace: &mut Workspace<N>) {
+        self.rows(Some(CoefficientForm::Rigid), v, false, workspace);
+    }
+}
+
 impl PointMap for GeodesicLeastSquares {
+    fn has_weights(&self) -> bool {
+        true
+    }
+
     fn identity(&self, form: CoefficientForm) -> Identity {
         Identity {
             plan: KEY + form as u64,

@@ -193,6 +193,29 @@ impl MovingLeastSquares {
             && matches!(set.rank, Rank::Collinear | Rank::Full)
     }
 
+    /// The coefficients of a form.
+    fn rows<const N: usize>(
+        &self,
+        set: &RestSet,
+        form: CoefficientForm,
+        v: &Vertices<N>,
+        exact: bool,
+        workspace: &mut Workspace<N>,
+    ) {
+        let Workspace { rows, scratch } = workspace;
+        let inputs = RowInputs {
+            metric: Euclidean,
+            sources: &set.sources,
+            extent: set.extent,
+            falloff: self.falloff,
+            beta: self.beta.as_deref(),
+            point_mass: self.point_mass,
+            form,
+            exact,
+        };
+        kernel::rows(&inputs, v, scratch, rows);
+    }
+
     /// Whether moments take less time than a row that is used once.
     fn prefers_moments(&self, set: &RestSet) -> bool {
         set.sources.points.len() > MANY_POINTS && self.has_moments(set)
@@ -207,22 +230,19 @@ impl<const N: usize> CoefficientsOf<N> for MovingLeastSquares {
         exact: bool,
         workspace: &mut Workspace<N>,
     ) {
-        let Workspace { rows, scratch } = workspace;
-        let inputs = RowInputs {
-            metric: Euclidean,
-            sources: &set.sources,
-            extent: set.extent,
-            falloff: self.falloff,
-            beta: self.beta.as_deref(),
-            point_mass: self.point_mass,
-            form: set.form,
-            exact,
-        };
-        kernel::rows(&inputs, v, scratch, rows);
+        self.rows(set, set.form, v, exact, workspace);
+    }
+
+    fn weights(&self, set: &RestSet, v: &Vertices<N>, workspace: &mut Workspace<N>) {
+        self.rows(set, CoefficientForm::Rigid, v, false, workspace);
     }
 }
 
 impl PointMap for MovingLeastSquares {
+    fn has_weights(&self) -> bool {
+        true
+    }
+
     fn identity(&self, form: CoefficientForm) -> Identity {
         let (plan, rest) = (form as u64, form as u64);
         Identity {
