@@ -244,6 +244,8 @@ pub(super) fn of_handles(error: &DeformError) -> String {
         | DeformError::MissingInPose { .. }
         | DeformError::WeightCount { .. }
         | DeformError::BadWeight { .. }
+        | DeformError::DepthCount { .. }
+        | DeformError::BadDepth { .. }
         | DeformError::BadWithin { .. }
         | DeformError::DegenerateLine { .. }
         | DeformError::Contradictory { .. }

@@ -18,6 +18,7 @@ fn warp_reads_the_example_of_the_contract() {
     let expected = WarpObject {
         rest: RestSpec {
             p: vec![point(120.0, 80.0), line(&[(40.0, 200.0), (300.0, 210.0)])],
+            depth: None,
             weights: Some(vec![1.0, 2.5]),
             method: Method::Similarity,
             alpha: Some(1.0),

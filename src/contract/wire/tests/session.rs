@@ -21,6 +21,7 @@ fn session_object_is_written_in_wire_form() {
         q: None,
         strength: None,
         weights: None,
+        depth: None,
         method: AsJson(Method::Rigid),
         alpha: Some(2.0),
         point_mass: Some(2.5),

@@ -17,8 +17,8 @@ fn points(places: &[(f64, f64)]) -> Vec<Handle> {
 }
 
 fn posed(rest: &RestSpec, q: &[Handle], extent: Extent) -> (ResolvedRest, CompiledRest, PosedMesh) {
-    let setup = ResolvedRest::new(rest, extent, &Limits::default()).unwrap();
-    let (plan, pose) = (setup.plan(), setup.pose(q).unwrap());
+    let setup = ResolvedRest::new(rest, extent, &Limits::default(), &|| false).unwrap();
+    let (plan, pose) = (setup.plan(&|| false).unwrap(), setup.pose(q).unwrap());
     let posed = PosedMesh::new(&setup, &plan, &pose, Folds::Report, &|| false).unwrap();
     (setup, plan, posed)
 }
@@ -219,7 +219,7 @@ fn depths_are_one_for_each_handle_and_within_their_range() {
     let (p, _, extent) = sheet();
     let refused = |depth: Vec<f64>| {
         let rest = of_method(Method::Rigid, p.clone(), Some(depth));
-        let refused = ResolvedRest::new(&rest, extent, &Limits::default());
+        let refused = ResolvedRest::new(&rest, extent, &Limits::default(), &|| false);
         match refused.unwrap_err() {
             WarpError::Rest(error) => error,
             error => panic!("{error}"),

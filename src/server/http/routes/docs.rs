@@ -27,6 +27,7 @@ const REFERENCE_POLICY: HeaderValue = HeaderValue::from_static(
         blob: data:; font-src 'self' data:; connect-src \
      'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
+const JPEG: &str = "image/jpeg";
 const TEXT: &str = "text/plain; charset=utf-8";
 
 macro_rules! assets {
@@ -70,6 +71,20 @@ static EXAMPLES: LazyLock<[(&str, Asset); 39]> = LazyLock::new(|| {
         "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
     ]
 });
+/// The figures that `tests/it/gallery.rs` draws.
+static GALLERY: LazyLock<[(&str, Asset); 9]> = LazyLock::new(|| {
+    assets![
+        "gallery/figure-1.jpg" JPEG,
+        "gallery/figure-2.jpg" JPEG,
+        "gallery/figure-4.jpg" JPEG,
+        "gallery/figure-5.jpg" JPEG,
+        "gallery/figure-6.jpg" JPEG,
+        "gallery/figure-7.jpg" JPEG,
+        "gallery/figure-8.jpg" JPEG,
+        "gallery/hoof.jpg" JPEG,
+        "gallery/depth.jpg" JPEG,
+    ]
+});
 /// Scalar's script, compressed.
 static SCALAR: LazyLock<Option<Asset>> = LazyLock::new(|| {
     let script = scalar_api_reference::get_asset("scalar.js")?;
@@ -90,6 +105,7 @@ pub(crate) fn files() -> Router<App> {
         .route("/docs/scalar.js", get(scalar))
         .route("/docs/{file}", get(file))
         .route("/docs/examples/{file}", get(example))
+        .route("/docs/gallery/{file}", get(picture))
 }
 
 async fn reference(headers: HeaderMap) -> Response {
@@ -106,6 +122,10 @@ async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, 
 
 async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Refusal> {
     Ok(find(&*EXAMPLES, &format!("examples/{name}"), &headers)?)
+}
+
+async fn picture(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Refusal> {
+    Ok(find(&*GALLERY, &format!("gallery/{name}"), &headers)?)
 }
 
 /// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and
@@ -152,6 +172,15 @@ mod tests {
         named.sort_unstable();
         served.sort_unstable();
         assert_eq!(named, served);
+    }
+
+    #[test]
+    fn the_guide_shows_the_pictures_that_are_served_and_no_others() {
+        let shown = text(&INDEX).split("src=\"docs/gallery/").skip(1);
+        let shown = shown.map(|rest| rest.split('"').next().unwrap());
+        let served = GALLERY.iter().map(|(name, _)| *name);
+        let served = served.filter_map(|name| name.strip_prefix("gallery/"));
+        assert_eq!(shown.collect::<Vec<_>>(), served.collect::<Vec<_>>());
     }
 
     #[test]
