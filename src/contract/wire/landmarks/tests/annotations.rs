@@ -229,7 +229,7 @@ fn files_with_several_objects_list_them() {
     let rows: Vec<String> = (0..40)
         .map(|k| format!("LM=1\n{k} 1\nIMAGE={k}{long}\n"))
         .collect();
-    let problem = read(&rows.concat()).unwrap_err();
+    let problem = read(rows.concat()).unwrap_err();
     let items = problem.to_json("", None)["items"].clone();
     let count = items.as_array().unwrap().len();
     assert!((15..25).contains(&count), "{count}");
