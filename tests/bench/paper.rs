@@ -21,7 +21,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use gallery::Picture;
-use gallery::figures::{FIGURES, Figure};
+use gallery::figures::{FIGURES, PaperFigure};
 use harness::{Contender, Report, contender, medians, pool, time};
 use mlswarp::deform::{
     CoefficientTable, Coincident, Handles, Method, Parameters, Pose, RestDeformation,
@@ -77,14 +77,14 @@ struct Posable {
 }
 
 enum Work {
-    Table(RestDeformation, CoefficientTable, Pose),
+    Table(CoefficientTable, Pose),
     Mesh(ResolvedRest, CompiledRest, Pose),
 }
 
 impl Posable {
     fn pose(&self) {
         match &self.work {
-            Work::Table(_, table, pose) => {
+            Work::Table(table, pose) => {
                 black_box(table.displace(black_box(pose), &|| false));
             }
             Work::Mesh(setup, plan, pose) => {
@@ -96,7 +96,7 @@ impl Posable {
     }
 }
 
-fn of_figure(report: &mut Report, figure: &Figure, picture: &Picture, column: usize) {
+fn of_figure(report: &mut Report, figure: &PaperFigure, picture: &Picture, column: usize) {
     let extent = picture.image.extent();
     let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
     let grid = Grid::with_counts(width, height, VERTICES, VERTICES);
@@ -121,7 +121,7 @@ fn of_figure(report: &mut Report, figure: &Figure, picture: &Picture, column: us
         plans.push((name.to_owned(), once));
         posable.push(Posable {
             name: format!("{name} (the paper: {printed} ms)"),
-            work: Work::Table(field, plan(), pose),
+            work: Work::Table(plan(), pose),
         });
     }
     let has_lines = p.iter().any(|handle| handle.places().len() > 1);

@@ -1,6 +1,5 @@
-//! The counterparts of the paper's figures: they are the pictures of the guide, within what JPEG and
-//! levels may change. `MLSWARP_BLESS=1` draws them again: then look
-//! at them.
+//! The counterparts of the paper's figures: they are the pictures of the guide, within what JPEG
+//! and levels may change. `MLSWARP_BLESS=1` draws them again: then look at them.
 
 #[expect(dead_code, reason = "a program has a main function")]
 #[path = "../../src/engine/examples/gallery/main.rs"]

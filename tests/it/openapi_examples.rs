@@ -398,6 +398,8 @@ async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<S
 fn warp_with(schema: &str, example: &Value) -> Value {
     match schema {
         "Place" | "Line" | "Handle" => json!({"p": [example], "q": [example]}),
+        "Depth" => json!({"depth": example, "p": [[20, 30], [60, 60], [90, 40]],
+            "q": [[20, 30], [60, 60], [30, 40]]}),
         "Grid" => json!({"p": [[120, 80]], "q": [[130, 60]], "grid": example}),
         "Outside" => json!({"output": {"outside": example}}),
         "BeierNeely" => json!({"method": "beier_neely", "beier_neely": example,

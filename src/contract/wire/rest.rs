@@ -147,8 +147,8 @@ impl WarpPatch {
     }
 
     /// `base` with the given fields replaced. Weights, depths and pose belong to their handles:
-    /// other `p` without them have none. Parameters belong to their method: another method that does not have
-    /// them drops them.
+    /// other `p` without them have none. Parameters belong to their method: another method that
+    /// does not have them drops them.
     pub fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() {
             self.weights

@@ -258,6 +258,31 @@ fn write_conflicts(f: &mut fmt::Formatter<'_>, listed: &[Conflict], total: usize
     }
 }
 
+/// Another number of numbers than of handles.
+fn another_count(
+    f: &mut fmt::Formatter<'_>,
+    field: &str,
+    numbers: usize,
+    rest: usize,
+) -> fmt::Result {
+    let (numbers, handles) = (counted(numbers, "number"), counted(rest, "handle"));
+    write!(f, "`{field}` has {numbers}, but `p` has {handles}")
+}
+
+/// A number of a handle that is out of range.
+fn bad_number(
+    f: &mut fmt::Formatter<'_>,
+    (handle, value): (usize, f64),
+    what: &str,
+    rule: &str,
+) -> fmt::Result {
+    let value = DisplayNumber(value);
+    write!(
+        f,
+        "the {what} of handle {handle} is {value}; {what}s must {rule}"
+    )
+}
+
 impl fmt::Display for DeformError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -299,35 +324,13 @@ impl fmt::Display for DeformError {
                 "handle {handle} has a position in `p` and none in `q`: to leave it out, the set \
                     of rest handles must have none either"
             ),
-            Self::WeightCount { rest, weights } => {
-                write!(
-                    f,
-                    "`weights` has {}, but `p` has {}",
-                    counted(*weights, "number"),
-                    counted(*rest, "handle")
-                )
-            }
+            Self::WeightCount { rest, weights } => another_count(f, "weights", *weights, *rest),
             Self::BadWeight { handle, value } => {
-                write!(
-                    f,
-                    "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9",
-                    DisplayNumber(*value)
-                )
+                bad_number(f, (*handle, *value), "weight", "lie between 1e-9 and 1e9")
             }
-            Self::DepthCount { rest, depths } => {
-                write!(
-                    f,
-                    "`depth` has {}, but `p` has {}",
-                    counted(*depths, "number"),
-                    counted(*rest, "handle")
-                )
-            }
+            Self::DepthCount { rest, depths } => another_count(f, "depth", *depths, *rest),
             Self::BadDepth { handle, value } => {
-                write!(
-                    f,
-                    "the depth of handle {handle} is {}; depths must lie between -1000 and 1000",
-                    DisplayNumber(*value)
-                )
+                bad_number(f, (*handle, *value), "depth", "lie between -1000 and 1000")
             }
             Self::BadParameter { path, value, rule } => {
                 outside(f, &path.replace('/', "."), *value, rule)

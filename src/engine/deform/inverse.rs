@@ -102,7 +102,7 @@ impl Matrix {
 }
 
 impl<'a> Inverse<'a> {
-    /// `mesh`: of the same pose; of cells that overlap, the one that it draws last counts. Its cells
+    /// `mesh`: of the same pose; of cells that overlap, the one that it draws last counts. They
     /// have 4 to 8 px: positions are not found where larger ones differ from f by more than
     /// `CELL_MARGIN_PX`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]

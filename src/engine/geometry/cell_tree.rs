@@ -1,6 +1,7 @@
 //! A tree of boxes over the posed cells of a mesh: finds the cells that may contain a posed
 //! position. Each level has a box for every two by two of the level below. Memory: 22 bytes per
-//! cell, 4 more with an order of drawing. Cost: O(cells) to build, O(boxes that contain the position) to ask.
+//! cell, 4 more with an order of drawing. Cost: O(cells) to build, O(boxes that contain the
+//! position) to ask.
 
 use std::ops::ControlFlow;
 

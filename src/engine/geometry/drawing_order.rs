@@ -5,7 +5,7 @@ use super::{CutCells, Grid};
 
 /// Depths are compared in shares of the range of the handles: what differs by rounding alone has
 /// one depth.
-const STEPS: f64 = 4_194_304.0;
+const DEPTH_STEPS: f64 = 4_194_304.0;
 
 /// An order of the cells of a grid, or of the quads of a cut grid, other than row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,7 +51,7 @@ impl DrawingOrder {
         )]
         let step = |corners: [f32; 4]| {
             let [a, b, c, d] = corners.map(f64::from);
-            ((((a + b) + (c + d)) / 4.0 - least) / (most - least) * STEPS).round() as i32
+            ((((a + b) + (c + d)) / 4.0 - least) / (most - least) * DEPTH_STEPS).round() as i32
         };
         let steps: Vec<i32> = corners.map(step).collect();
         if steps.is_sorted() {

@@ -2,8 +2,8 @@
 //! phases: first the source position that each pixel centre shows (`drawing`: by column crossings
 //! or cell by cell), then the samples (`kernel`, `sampler`). Exact integer rules on vertices
 //! snapped to 1/256 px assign each pixel to a cell, so that cells neither overlap nor leave gaps;
-//! under folds the later cell in row order wins, or in the order that the mesh has. Output: straight samples of the target. Cost:
-//! O(vertices) to prepare, O(pixels) to draw.
+//! under folds the later cell in row order wins, or in the order that the mesh has. Output:
+//! straight samples of the target. Cost: O(vertices) to prepare, O(pixels) to draw.
 
 use std::{ops::Range, sync::Arc};
 

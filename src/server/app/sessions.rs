@@ -217,17 +217,11 @@ async fn try_replace_handles(
     let known = plans.setups.peek(revision_key(old));
     let settle = move |cancel: &Cancel| {
         let extent = before.extent;
-        let setup_of = |rest: &RestSpec| {
-            let known = known.as_ref().map(|setup| (&before.rest, setup));
-            match known
-                .map(|known| plans.with_depth(rest, known))
-                .transpose()?
-                .flatten()
-            {
+        let setup_of =
+            |rest: &RestSpec| match plans.with_depth(rest, &before.rest, known.as_ref())? {
                 Some(setup) => Ok(setup),
                 None => plans.new_setup(rest, extent, content.as_ref(), cancel),
-            }
-        };
+            };
         resolve_by(&of_job, object, extent, setup_of, cancel)
     };
     let Resolved {

@@ -10,7 +10,7 @@ use mlswarp::warp::{GridSpec, Metric, Report};
 use super::Picture;
 
 /// A strip of panels.
-pub(crate) struct Figure {
+pub(crate) struct PaperFigure {
     pub(crate) name: &'static str,
     pub(crate) title: &'static str,
     pub(crate) claim: &'static str,
@@ -68,7 +68,7 @@ impl Panel {
     }
 
     /// The handles as the panel shows them.
-    pub(crate) fn shown(&self, figure: &Figure) -> Vec<Handle> {
+    pub(crate) fn shown(&self, figure: &PaperFigure) -> Vec<Handle> {
         match self.drawn {
             Drawn::AtRest => figure.rest.handles(),
             _ => figure.posed.handles(),
@@ -78,7 +78,11 @@ impl Panel {
     /// The mesh that is drawn.
     ///
     /// Errors: The handles cannot be posed.
-    pub(crate) fn mesh(&self, figure: &Figure, picture: &Picture) -> Result<Mesh, Box<dyn Error>> {
+    pub(crate) fn mesh(
+        &self,
+        figure: &PaperFigure,
+        picture: &Picture,
+    ) -> Result<Mesh, Box<dyn Error>> {
         Ok(match self.drawn {
             Drawn::AtRest => Mesh::identity(of_picture(picture)),
             Drawn::FoldFree => fold_free(figure, picture)?,
@@ -91,7 +95,7 @@ impl Panel {
     /// Errors: The handles cannot be posed.
     pub(crate) fn posed(
         &self,
-        figure: &Figure,
+        figure: &PaperFigure,
         picture: &Picture,
     ) -> Result<(Mesh, Report), Box<dyn Error>> {
         let (p, q) = (figure.rest.handles(), figure.posed.handles());
@@ -137,7 +141,7 @@ fn of_picture(picture: &Picture) -> Grid {
 }
 
 /// Rigid, as a product of maps without folds, mended where cells of 5 px still fold.
-fn fold_free(figure: &Figure, picture: &Picture) -> Result<Mesh, Box<dyn Error>> {
+fn fold_free(figure: &PaperFigure, picture: &Picture) -> Result<Mesh, Box<dyn Error>> {
     let (p, q) = (figure.rest.handles(), figure.posed.handles());
     let grid = of_picture(picture);
     let make = |handles| {
@@ -273,8 +277,8 @@ static POINT_CLASSES: [Panel; 4] = classes(None);
 static LINE_CLASSES: [Panel; 4] = classes(Some(2.0));
 
 /// All of them, in the order of the paper; figure 3 has the layout of figure 1.
-pub(crate) static FIGURES: [Figure; 9] = [
-    Figure {
+pub(crate) static FIGURES: [PaperFigure; 9] = [
+    PaperFigure {
         name: "figure-1",
         title: "Figures 1 and 3: three classes of maps",
         claim: "Affine stretches and shears the arms and the body, similarity makes the limbs \
@@ -285,7 +289,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
         posed: Placed::Points(&TOY_POSED),
         panels: &POINT_CLASSES,
     },
-    Figure {
+    PaperFigure {
         name: "figure-2",
         title: "Figure 2: other methods with the same handles",
         claim: "The thin-plate spline is smooth, but shears and scales. As rigid as possible keeps \
@@ -300,7 +304,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
             Panel::new("rigid", Drawn::By(Method::Rigid, None)),
         ],
     },
-    Figure {
+    PaperFigure {
         name: "figure-4",
         title: "Figure 4: a horse and eleven points",
         claim: "Affine shears most, which the front hooves show; similarity swells the hind hoof. \
@@ -311,7 +315,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
         posed: Placed::Points(&HORSE_LEAPING),
         panels: &POINT_CLASSES,
     },
-    Figure {
+    PaperFigure {
         name: "figure-5",
         title: "Figure 5: line segments",
         claim: "The rocket leans and becomes shorter: affine shears it, similarity turns it and \
@@ -322,7 +326,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
         posed: Placed::Lines(&TOWER_LEANING),
         panels: &LINE_CLASSES,
     },
-    Figure {
+    PaperFigure {
         name: "figure-6",
         title: "Figure 6: beside Beier and Neely",
         claim: "Field morphing pulls the surroundings of a line that becomes longer, and folds in \
@@ -339,7 +343,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
             Panel::new("rigid, alpha 2", Drawn::By(Method::Rigid, Some(2.0))),
         ],
     },
-    Figure {
+    PaperFigure {
         name: "figure-7",
         title: "Figure 7: a grid instead of every pixel",
         claim: "On 50 x 50 cells the grain is smooth across their borders; grid: auto divides \
@@ -354,7 +358,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
             Panel::new("grid: auto", Drawn::By(Method::Rigid, None)),
         ],
     },
-    Figure {
+    PaperFigure {
         name: "figure-8",
         title: "Figure 8: folds",
         claim: "An arm that is dragged across the body folds the plane. A map without folds, which \
@@ -369,12 +373,12 @@ pub(crate) static FIGURES: [Figure; 9] = [
             Panel::new("without folds", Drawn::FoldFree),
         ],
     },
-    Figure {
+    PaperFigure {
         name: "hoof",
         title: "Beyond the paper: inside the outline",
-        claim: "One hoof is dragged by 60 px. In the plane its neighbour is dragged along, by up to \
-            49 px; inside the outline the three other hooves move by at most 1 px, and by at most \
-            6.1 px on a puppet's mesh.",
+        claim: "One hoof is dragged by 60 px. In the plane its neighbour is dragged along, by up \
+            to 49 px; inside the outline the three other hooves move by at most 1 px, and by at \
+            most 6.1 px on a puppet's mesh.",
         image: "horse-cutout.png",
         canvas: HORSE_CANVAS,
         rest: Placed::Points(&HORSE),
@@ -386,7 +390,7 @@ pub(crate) static FIGURES: [Figure; 9] = [
             Panel::new("arap", Drawn::Puppet(None)),
         ],
     },
-    Figure {
+    PaperFigure {
         name: "depth",
         title: "Beyond the paper: depth",
         claim: "The front legs cross. The handle of more depth brings its leg to the front, up to \

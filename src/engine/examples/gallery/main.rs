@@ -12,12 +12,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use figures::{FIGURES, Figure};
+use figures::{FIGURES, PaperFigure};
 use mlswarp::Image;
 use mlswarp::codec::ImageLimits;
 use mlswarp::render::Source;
 use mlswarp::warp::RestMask;
-use strip::Strip;
+use strip::PanelStrip;
 
 /// A photograph, as it is warped and as it is drawn.
 pub(crate) struct Picture {
@@ -44,9 +44,9 @@ impl Picture {
 /// Draws a figure; `images`: the folder of the photographs.
 ///
 /// Errors: A photograph cannot be read; handles that cannot be posed.
-pub(crate) fn draw(figure: &Figure, images: &Path) -> Result<Strip, Box<dyn Error>> {
+pub(crate) fn draw(figure: &PaperFigure, images: &Path) -> Result<PanelStrip, Box<dyn Error>> {
     let picture = Picture::open(&images.join(figure.image))?;
-    let mut strip = Strip::new(figure.canvas, figure.panels.len());
+    let mut strip = PanelStrip::new(figure.canvas, figure.panels.len());
     for (index, panel) in figure.panels.iter().enumerate() {
         let mesh = panel.mesh(figure, &picture)?;
         strip.draw(index, &picture.source, &mesh);

@@ -21,7 +21,7 @@ const WHITE: [u8; 3] = [255; 3];
 const QUALITY: u8 = 80;
 
 /// A strip of panels: RGB, `[height][width]`.
-pub(crate) struct Strip {
+pub(crate) struct PanelStrip {
     canvas: Canvas,
     /// Of a panel.
     size: Extent,
@@ -29,7 +29,7 @@ pub(crate) struct Strip {
     pub(crate) samples: Vec<u8>,
 }
 
-impl Strip {
+impl PanelStrip {
     /// `canvas`: x, y, width and height of the part of the plane that a panel shows, px.
     pub(crate) fn new([x, y, width, height]: [i32; 4], panels: usize) -> Self {
         let side = |side: i32| u32::try_from(side).unwrap_or(1);

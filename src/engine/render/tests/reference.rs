@@ -1,6 +1,6 @@
 //! The slow reference: for each pixel centre the cell whose bilinear patch contains it (Newton's
-//! method, later cells win, or those of a higher rank), and float samples, premultiplied. It shares only the mesh and the box
-//! reduction with the rasteriser.
+//! method, later cells win, or those of a higher rank), and float samples, premultiplied. It shares
+//! only the mesh and the box reduction with the rasteriser.
 
 use super::*;
 

@@ -90,13 +90,17 @@ impl Plans {
         Ok(CacheEntry::new(setup, held))
     }
 
-    /// The setup of rest handles that differ from others, of which there is one, in their depths
-    /// alone; `None` if they differ otherwise.
+    /// The setup of rest handles that differ from those `before`, whose setup this is, in their
+    /// depths alone; `None` if there is none, or they differ otherwise.
     pub(crate) fn with_depth(
         &self,
         rest: &RestSpec,
-        (before, setup): (&RestSpec, &HeldSetup),
+        before: &RestSpec,
+        setup: Option<&HeldSetup>,
     ) -> Result<Option<CacheEntry<ResolvedRest>>, Problem> {
+        let Some(setup) = setup else {
+            return Ok(None);
+        };
         let depth = before.depth.clone();
         if *before
             != (RestSpec {

@@ -200,7 +200,7 @@ impl GeodesicLeastSquares {
         }
     }
 
-    /// The coefficients of one position in `workspace`, of the form of its part or of a `given` one;
+    /// The coefficients of one position in `workspace`, of the form of its part or a `given` one;
     /// `None` if it is at rest in every pose.
     fn one(
         &self,
