@@ -32,6 +32,7 @@ class Blended:
     """One result of a blend."""
 
     image: ImageArray
+    """With alpha, if an image has it or does not cover the result."""
     landmarks: tuple[Any, ...]
     """Where the landmarks are in it, px of the first image."""
     clamped: int
