@@ -8,6 +8,8 @@
     unreachable_pub,
     unused_qualifications,
     clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    clippy::large_enum_variant,
     reason = "a program that prints a table"
 )]
 
