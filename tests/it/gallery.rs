@@ -1,5 +1,6 @@
 //! The counterparts of the paper's figures: they are the pictures of the guide, within what JPEG
-//! and levels may change, and show what stands below them. `MLSWARP_BLESS=1` draws them again: then look at them.
+//! and levels may change, and show what stands below them. `MLSWARP_BLESS=1` draws them again:
+//! then look at them.
 
 #[expect(dead_code, reason = "a program has a main function")]
 #[path = "../../src/engine/examples/gallery/main.rs"]

@@ -376,9 +376,9 @@ pub(crate) static FIGURES: [PaperFigure; 9] = [
     PaperFigure {
         name: "hoof",
         title: "Beyond the paper: inside the outline",
-        claim: "One hoof is dragged by 60 px. In the plane the three others are dragged along, by up \
-            to 16 px; inside the outline they move by at most 1 px, and by at most 5.3 px on a \
-            puppet's mesh.",
+        claim: "One hoof is dragged by 60 px. In the plane the three others are dragged along, \
+            by up to 16 px; inside the outline they move by at most 1 px, and by at most 5.3 px \
+            on a puppet's mesh.",
         image: "horse-cutout.png",
         canvas: HORSE_CANVAS,
         rest: Placed::Points(&HORSE),
