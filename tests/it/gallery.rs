@@ -4,15 +4,15 @@
 
 #[expect(dead_code, reason = "a program has a main function")]
 #[path = "../../src/engine/examples/gallery/main.rs"]
-mod gallery;
+mod program;
 
 use std::path::PathBuf;
 
-use gallery::figures::{Drawn, FIGURES, Panel, PaperFigure};
-use gallery::{Picture, draw};
 use mlswarp::codec::{self, ImageLimits};
 use mlswarp::geometry::{Mesh, Point};
 use mlswarp::pixmap::{Pixmap, Samples};
+use program::figures::{Drawn, FIGURES, Panel, PaperFigure};
+use program::{Picture, draw};
 
 /// A sample may differ by this, and this share of the samples by more.
 const TOLERANCE: u8 = 8;
