@@ -6,11 +6,14 @@ beside each kind of flood, and without it.
 
 The ten are processes of their own, each with its session and token, and drag every 100 ms; the
 eleventh has a token of every operation and sends as much as it can from one address, over 16
-connections. Each flood lasts five seconds. Prints p50 and p99 of the ten together in milliseconds,
-and the ratio of p99 to that without a flood. The exit status is 1 if a ratio exceeds two.
+connections. A second server (control) is not flooded: the ten drag there too, in turns, and these
+times show what the load of the machine costs. Each flood lasts ten seconds. Prints p50 and p99 of
+the ten together in milliseconds, and the ratio of p99 to the larger one of p99 without a flood and
+p99 of the control server. The exit status is 1 if a ratio exceeds two.
 """
 
 import http.client
+import itertools
 import json
 import multiprocessing
 import random
@@ -18,8 +21,7 @@ import subprocess
 import sys
 import time
 
-import attacks
-from attacks import HOST, PORT, ask, connect, parts, percentiles, png
+from attacks import CONTROL, HOST, PORT, ask, connect, parts, percentiles, png
 from programs import JSON, PHOTO
 
 KEY = "a-key-of-the-bench-0123456789"
@@ -27,19 +29,20 @@ BEARER = {"Authorization": f"Bearer {KEY}"}
 REST = [[100, 100], [300, 300], [200, 400]]
 ALL = ["read", "warp", "drag", "handles", "layers", "upload", "batch", "delete"]
 FLOODERS = 16
+SECONDS = 10
 
 
-def visitor(ops, image=PHOTO):
+def visitor(ops, image=PHOTO, port=PORT):
     """A session of the key, and the headers of a token for it."""
     body, headers = parts([("image", image), ("warp", json.dumps({"p": REST}).encode())])
     status, data, _ = ask(
-        connect(PORT, timeout=120), "POST", "/sessions", body, {**headers, **BEARER}
+        connect(port, timeout=120), "POST", "/sessions", body, {**headers, **BEARER}
     )
     if status != 201:
         raise SystemExit(f"no session: {status} {data[:300]}")
     one = json.loads(data)["id"]
     body = json.dumps({"ops": ops, "ttl": 3600})
-    _, data, _ = ask(connect(PORT), "POST", f"/sessions/{one}/tokens", body, {**JSON, **BEARER})
+    _, data, _ = ask(connect(port), "POST", f"/sessions/{one}/tokens", body, {**JSON, **BEARER})
     return f"/sessions/{one}", {"Authorization": f"Bearer {json.loads(data)['token']}"}
 
 
@@ -72,71 +75,80 @@ FLOODS = {
 
 
 def innocent(end, times):
-    path, token = visitor(["warp", "drag"])
-    connection, own = connect(PORT), []
+    """Drags a session of each server in turns, and puts the lists of its response times, ms."""
+    targets = [
+        (connect(port), visitor(["warp", "drag"], port=port), []) for port in (PORT, CONTROL)
+    ]
     time.sleep(random.random() / 10)
     while time.time() < end.value:
-        x = random.uniform(-20, 20)
-        q = [[100 + x, 100], [300, 300 - x], [200, 400]]
-        body = json.dumps({"q": q, "output": {"format": "jpeg", "width": 200}})
-        began = time.perf_counter()
-        status, _, _ = ask(connection, "POST", f"{path}/warp", body, {**JSON, **token})
-        own.append((time.perf_counter() - began) * 1e3 if status == 200 else 60_000.0)
+        for connection, (path, token), own in targets:
+            x = random.uniform(-20, 20)
+            q = [[100 + x, 100], [300, 300 - x], [200, 400]]
+            body = json.dumps({"q": q, "output": {"format": "jpeg", "width": 200}})
+            began = time.perf_counter()
+            status, _, _ = ask(connection, "POST", f"{path}/warp", body, {**JSON, **token})
+            own.append((time.perf_counter() - began) * 1e3 if status == 200 else 60_000.0)
         time.sleep(0.1)
     # The first builds the plan.
-    times.put(own[1:])
+    times.put([own[1:] for *_, own in targets])
 
 
 def measure(flooders):
+    """The times of the ten beside these flooders: of the flooded server, and of the other one."""
     end, times = multiprocessing.Value("d", time.time() + 60), multiprocessing.Queue()
     ten = [multiprocessing.Process(target=innocent, args=(end, times)) for _ in range(10)]
     for client in ten:
         client.start()
     time.sleep(1)
-    until = time.time() + attacks.SECONDS
+    until = time.time() + SECONDS
     processes = [
         multiprocessing.Process(target=flooder, args=(until,), daemon=True) for flooder in flooders
     ]
     for process in processes:
         process.start()
     end.value = until
-    result = [own for _ in ten for own in times.get(timeout=180)]
+    result = [times.get(timeout=180) for _ in ten]
     for client in ten:
         client.join()
     for process in processes:
         process.join(2)
         process.kill()
-    return percentiles(result)
+    return [percentiles(itertools.chain(*own)) for own in zip(*result)]
 
 
 def main():
     program, *names = sys.argv[1:]
-    options = ["--listen", f"{HOST}:{PORT}", "--keys", f"ann {KEY}", "--log", "off"]
-    server = subprocess.Popen([program, *options])
+    options = ["--keys", f"ann {KEY}", "--log", "off"]
+    servers = [
+        subprocess.Popen([program, "--listen", f"{HOST}:{port}", *options])
+        for port in (PORT, CONTROL)
+    ]
     worst = 0.0
     try:
-        for _ in range(200):
-            try:
-                ask(connect(PORT), "GET", "/readyz")
-                break
-            except OSError:
-                time.sleep(0.05)
-        alone = measure([])
+        for port in (PORT, CONTROL):
+            for _ in range(200):
+                try:
+                    ask(connect(port), "GET", "/readyz")
+                    break
+                except OSError:
+                    time.sleep(0.05)
+        alone = measure([])[0]
         print(f"{'ten that drag':24} p50 {alone[0]:7.1f}  p99 {alone[1]:7.1f} ms", flush=True)
         for name, prepare in FLOODS.items():
             if names and not any(wanted in name for wanted in names):
                 continue
-            flooded = measure(prepare())
-            ratio = flooded[1] / alone[1]
+            flooded, control = measure(prepare())
+            ratio = flooded[1] / max(alone[1], control[1])
             worst = max(worst, ratio)
             print(
                 f"beside {name:17} p50 {flooded[0]:7.1f}  p99 {flooded[1]:7.1f} ms;  "
-                f"ratio {ratio:.2f}",
+                f"control {control[0]:6.1f} {control[1]:6.1f};  ratio {ratio:.2f}",
                 flush=True,
             )
     finally:
-        server.terminate()
-        server.wait()
+        for server in servers:
+            server.terminate()
+            server.wait()
     return 1 if worst > 2 else 0
 
 

@@ -1,0 +1,109 @@
+#!/usr/bin/env python3
+"""What an operation of `--max-work` costs: requests of each kind that has an estimate, each refused
+by a server that allows one operation, for its count, and answered by one that allows all. What is
+counted part by part, while it is computed, has its count from the table in deploy/capacity.md.
+
+    tests/bench/work.py PROGRAM
+
+Prints operations, seconds and nanoseconds an operation. The limit protects only if an operation of
+each kind costs about the same: the exit status is 1 if the most expensive kind costs more than
+sixteen times the cheapest one.
+"""
+
+import json
+import math
+import subprocess
+import sys
+import time
+
+from attacks import HOST, PORT, ask, connect
+from programs import JSON
+
+FREE = PORT + 1
+
+
+def places(count, width=600, height=400):
+    """Spread evenly, no two at one place."""
+    return [
+        [width * ((k * 0.6180339887) % 1), height * ((k * 0.7548776662 + 0.3) % 1)]
+        for k in range(count)
+    ]
+
+
+def moved(points, by):
+    return [[x + by * math.sin(y / 40), y + by * math.cos(x / 50)] for x, y in points]
+
+
+def body(count, extent=(600, 400), by=3, **more):
+    p = places(count, *extent)
+    return {"extent": list(extent), "p": p, "q": moved(p, by), **more}
+
+
+KINDS = {
+    "positions, 1,000 handles": ("/points", body(1000, points=places(30_000)), 30_000 * 2001),
+    "positions, inverse": (
+        "/points",
+        body(300, points=places(20_000), inverse=True),
+        20_000 * 601 * 8,
+    ),
+    "report, grid of pixels": ("/report", body(100, grid="pixel")),
+    "report, default grid": ("/report", body(2000)),
+    "map, grid of pixels": ("/map", body(100, grid="pixel")),
+    "spline of 1,500 points": ("/report", body(1500, method="tps")),
+    "fit of 300 landmarks": ("/fit", body(300)),
+    "fit, splines": (
+        "/fit",
+        body(300, candidates=[{"method": "tps", "smoothing": k / 10} for k in range(8)]),
+    ),
+    "Beier-Neely, 100 lines": (
+        "/report",
+        {
+            "extent": [600, 400],
+            "method": "beier_neely",
+            "grid": "pixel",
+            "p": [[[x, y], [x + 20, y + 5]] for x, y in places(100)],
+            "q": [[[x + 2, y], [x + 22, y + 9]] for x, y in places(100)],
+        },
+    ),
+}
+
+
+def refused(path, text):
+    """The operations that the strict server counts in this request."""
+    status, data, _ = ask(connect(PORT), "POST", path, text, JSON)
+    if status != 413:
+        raise SystemExit(f"{path} is not counted: {status} {data[:200]}")
+    return json.loads(data)["actual"]
+
+
+def main():
+    program = sys.argv[1]
+    options = ["--log", "off", "--memory-bytes", "8GiB"]
+    servers = [
+        subprocess.Popen([program, "--listen", f"{HOST}:{port}", "--max-work", str(most), *options])
+        for port, most in ((PORT, 1), (FREE, 10**18))
+    ]
+    costs = []
+    try:
+        time.sleep(1)
+        for name, (path, request, *counted) in KINDS.items():
+            text = json.dumps(request)
+            count = counted[0] if counted else refused(path, text)
+            began = time.perf_counter()
+            status, data, _ = ask(connect(FREE, timeout=300), "POST", path, text, JSON)
+            seconds = time.perf_counter() - began
+            if status != 200:
+                raise SystemExit(f"{name}: {status} {data[:300]}")
+            costs.append(seconds * 1e9 / count)
+            print(f"{name:28} {count:>14,} {seconds:8.3f} s {costs[-1]:8.3f} ns", flush=True)
+    finally:
+        for server in servers:
+            server.terminate()
+            server.wait()
+    ratio = max(costs) / min(costs)
+    print(f"the most expensive operation costs {ratio:.1f} times the cheapest one")
+    return 1 if ratio > 16 else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
