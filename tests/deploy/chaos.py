@@ -14,7 +14,7 @@ from drag_clients import RequestClient, Server, SocketClient, Uploader
 from image import Container
 from names import Names
 from stack import COMPOSE, Stack
-from timeline import RESTARTED, DRAINED, KILLED, SILENT, SPEAKS, Timeline, check_phases
+from timeline import DRAINED, KILLED, RESTARTED, SILENT, SPEAKS, Timeline, check_phases
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
