@@ -109,7 +109,7 @@ pub(super) fn hold(bytes: &[u8]) {
     let (displacement, quality) =
         CoefficientTable::of_vertices(&field, vertices.len(), |k| vertices[k])
             .displace(&pose, &|| false)
-            .unwrap();
+            .expect("nothing gives it up");
     let farthest = pose
         .displacements()
         .iter()
