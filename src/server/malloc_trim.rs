@@ -1,7 +1,7 @@
 //! Returns freed memory to the system. glibc keeps it in the arenas of threads and trims only the
 //! end of the first one: after a minute of mixed requests 27 MiB were in use and 150 to 200
 //! resident. With few arenas, mapped large blocks and regular trimming 41 MiB are resident. When
-//! the budget is nearly used, it is trimmed more often.
+//! use and freed memory together exceed the budget (`limits/freed.rs`), it is trimmed more often.
 
 use std::ffi::c_int;
 use std::num::NonZero;
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use mlswarp_server::limits::freed::FREED;
 
-/// A trim takes some milliseconds. The least time is that of a server whose budget is nearly used.
+/// A trim takes some milliseconds. The least time holds then.
 const TRIM_INTERVAL: Duration = Duration::from_secs(3);
 const MIN_TRIM_INTERVAL: Duration = Duration::from_millis(50);
 const PROCESSORS_PER_ARENA: usize = 4;

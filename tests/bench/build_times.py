@@ -4,7 +4,8 @@
     tests/bench/build_times.py [--dev]
 
 Builds the program in a folder of its own, which is removed afterwards. A change is a new time of a
-file, for which cargo compiles the same crates as for a new line in it. Run it on an idle machine.
+file, for which cargo compiles the same crates as for a new line in it; the next build in `target`
+compiles them again. Run it on an idle machine.
 """
 
 import os

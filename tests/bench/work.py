@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
-"""What an operation of `--max-work` costs: requests of each kind that has an estimate, each refused
-by a server that allows one operation, for its count, and answered by one that allows all. What is
-counted part by part, while it is computed, has its count from the table in deploy/capacity.md.
+"""What an operation of `--max-work` costs, for most kinds of task. The count is the first estimate
+for which a server that allows one operation refuses the request; what follows it in the same
+request (the cells of `/report`, the grid of a spline) is in the seconds and not in the count.
+Positions are counted while they are computed: theirs is from the table in deploy/capacity.md.
+Outlines and frames that are posed by a table are not measured.
 
     tests/bench/work.py PROGRAM
 

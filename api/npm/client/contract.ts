@@ -78,7 +78,8 @@ export type Weights = number[];
  * weights there (with `tps`, `global_affine` and `beier_neely` what the map makes of them,
  * with `arap` as smooth as the mesh allows). Cells of one depth are drawn row by row, as
  * without depths. Labels, coverage, `/map` and the inverse of `/points` follow the same
- * order. A client that drags gives the handles in hand more than the others.
+ * order. Depths belong to the handles at rest: before a drag, a client sends `PUT
+ * /sessions/{id}/handles` with `depth` alone, the largest for the handles in hand.
  */
 export type Depth = number[];
 
@@ -1117,8 +1118,9 @@ export type PointsAnswer = {
 export type Cell = [number, number];
 
 /**
- * The posed grid. Each cell is rendered as a bilinear patch. Where cells overlap because of
- * folds, the later cell in row order wins.
+ * The posed grid. Each cell is rendered as a bilinear patch. Where cells overlap, the one of
+ * more `depth` wins, and among cells of one depth the later one in row order. Depths are not
+ * in the mesh: a client that draws it orders its cells itself.
  */
 export type Mesh = {
   /**
@@ -1231,7 +1233,8 @@ export type Session = {
   };
   /**
    * Identifies the image size, the rest handles, the method and its parameters: it changes
-   * when the coefficients change. The file of `GET /sessions/{id}/plan` contains it.
+   * when the coefficients change. Other `depth` alone leaves it as it is. The file of `GET
+   * /sessions/{id}/plan` contains it.
    */
   rest_revision?: string;
   folds: Folds;

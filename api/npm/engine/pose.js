@@ -203,7 +203,7 @@ export class Pose extends Held {
   }
 
   /**
-   * The posed vertices of the grid, row by row, px.
+   * The posed vertices of the grid, row by row, px. The order of drawing (`depth`) is not in it.
    *
    * @returns {{ columns: number, rows: number, xy: Float32Array<ArrayBuffer> }}
    */

@@ -1,10 +1,12 @@
-//! What a problem says of an error of the engine. The engine's errors have facts; here they get the
-//! names of JSON members, the names of limits, and the advice what to send instead.
+//! What a problem says of an error of a warp or of handles. Where a sentence needs names of JSON
+//! members, names of limits, or advice what to send instead, it is made here. Errors of files and of
+//! parameters bring their names with them.
 
 use mlswarp::deform::{DeformError, MeshQuantity};
 use mlswarp::warp::{GridError, Quantity, Task, WarpError};
 
-/// The name of a limit, the pointer to what exceeds it, and a sentence with `{}` for the value.
+/// The name of a limit, the pointer to what exceeds it, and a sentence with `{}` for the value,
+/// and `{method}` for the method of `SystemHandles`.
 pub(super) fn limit(what: Quantity) -> (&'static str, Option<&'static str>, &'static str) {
     let (width, canvas) = (Some("/output/width"), Some("/output/canvas"));
     match what {

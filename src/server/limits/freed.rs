@@ -42,8 +42,9 @@ impl Freed {
         self.bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Memory was reserved, of which so much is `taken` now.
-    pub(super) fn look(&self, taken: u64, total: u64) {
+    /// After a reservation, when `taken` bytes of a budget of `total` are reserved: wakes the
+    /// returner if these and what was freed are too much.
+    pub(super) fn wake_if_too_much(&self, taken: u64, total: u64) {
         let resident = taken.saturating_add(self.bytes.load(Ordering::Relaxed));
         if resident > total.saturating_add(MAX_ABOVE)
             && let Some(returner) = self.returner.get()
@@ -67,7 +68,7 @@ mod tests {
         let freed = Arc::new(Freed::new());
         // Nobody is there to be woken.
         freed.add(1 << 40);
-        freed.look(TOTAL, TOTAL);
+        freed.wake_if_too_much(TOTAL, TOTAL);
         freed.forget();
         let (tells, told) = mpsc::channel();
         let returner = {
@@ -81,11 +82,11 @@ mod tests {
         };
         told.recv().unwrap();
         freed.add(MAX_ABOVE);
-        freed.look(TOTAL, TOTAL);
+        freed.wake_if_too_much(TOTAL, TOTAL);
         freed.add(TOTAL / 2);
-        freed.look(TOTAL / 2, TOTAL);
+        freed.wake_if_too_much(TOTAL / 2, TOTAL);
         assert!(told.try_recv().is_err(), "as much as may be");
-        freed.look(TOTAL / 2 + 1, TOTAL);
+        freed.wake_if_too_much(TOTAL / 2 + 1, TOTAL);
         told.recv().unwrap();
         returner.join().unwrap();
     }

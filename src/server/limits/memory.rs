@@ -255,7 +255,7 @@ impl Reservation {
             .taken
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
         {
-            Ok(before) => FREED.look(before + more, state.total),
+            Ok(before) => FREED.wake_if_too_much(before + more, state.total),
             Err(taken) => {
                 if let Some(quota) = &self.quota {
                     quota.release(more);

@@ -38,7 +38,8 @@ class Blended:
     clamped: int
     """Samples that were cut off below 0 or above the largest value."""
     folds: tuple[int, ...]
-    """Drawn cells that fold, for each image."""
+    """Drawn cells that fold, for each image; with `mirror`, for each image and then its mirror
+    image."""
 
 
 def blend(
@@ -50,6 +51,8 @@ def blend(
     **options: Any,
 ) -> Blended:
     """Brings the landmarks of all images to one shape, and adds the images, as ``POST /blend``.
+
+    The default method is `affine` with alpha 2, as on the page; that of the route is `rigid`.
 
     `shape`, `colour`: the share of each image, equal ones if nothing is given; a negative share
     exaggerates. The mean of all is ``blend(images, landmarks)``; half way from the first image to
@@ -98,8 +101,10 @@ def blend_frames(
     half of its shares; `pairs`: for each landmark the index of its mirror image, otherwise they are
     found by `names` or by position. `align`, `reference`: the class of maps that brings shapes
     together, and the image, shape or mean that they are brought to. `space`: what is added, samples
-    or light. `match`: landmarks by `names` or by their order. `method` to `more`: as of `Plan` and
-    `Pose.warp`; alpha is 2 where a method has one.
+    or light. `match`: landmarks by `names` or by their order. `method`, `alpha`, and in `more`
+    `point_mass`, `smoothing`, `coincident`, `grid`: as of `Plan`, without weights and depth of
+    handles; alpha is 2 where a method has one. `fill`, `filter`, `canvas`, `width`: as of
+    `Pose.warp`. With `mirror`, problems count each image and then its mirror image.
     """
     arrays = [image_array(image, f"images[{index}]") for index, image in enumerate(images)]
     if len(arrays) != len(landmarks) or not arrays:
