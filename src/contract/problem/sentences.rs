@@ -1,6 +1,6 @@
 //! What a problem says of an error of a warp or of handles. Where a sentence needs names of JSON
-//! members, names of limits, or advice what to send instead, it is made here. Errors of files and of
-//! parameters bring their names with them.
+//! members, names of limits, or advice what to send instead, it is made here. Errors of files and
+//! of parameters bring their names with them.
 
 use mlswarp::deform::{DeformError, MeshQuantity};
 use mlswarp::warp::{GridError, Quantity, Task, WarpError};

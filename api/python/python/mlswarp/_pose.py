@@ -229,8 +229,10 @@ class Pose:
         return made
 
     def mesh(self) -> NDArray[np.float32]:
-        """The posed vertices of the grid, ``(rows, columns, 2)``, px. The order of drawing (`depth`) is
-        not in it."""
+        """The posed vertices of the grid, ``(rows, columns, 2)``, px.
+
+        The order of drawing (`depth`) is not in it.
+        """
         return array_of(self._live().mesh())
 
     def report(self) -> Report:

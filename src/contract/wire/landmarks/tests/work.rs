@@ -189,8 +189,8 @@ fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
                 "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
             ));
         }
-        // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of 4
-        // ms each, that others have used: what is quadratic takes far more.
+        // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of
+        // 4 ms each, that others have used: what is quadratic takes far more.
         if more_time > 3 * time + 24_000_000 {
             wrong.push(format!("{what:?}: {time} ns, of twice as much {more_time}"));
         }
