@@ -4,9 +4,10 @@
 const KEY = "mlswarp";
 const STEPS = 50;
 /**
- * Number of stored files: those of the last pictures, besides the ones that the undo history needs.
+ * Number of stored files: those of the last pictures, each with its annotations, besides the ones
+ * that the undo history needs.
  */
-const FILES = 4;
+const FILES = 8;
 
 /**
  * Storage may be disabled or full: then nothing is stored, and the page continues.

@@ -66,9 +66,13 @@ def blend(
     >>> blend([dark, light], [p, p]).image[20, 30].tolist()
     [60, 60, 60]
     """
+    if options.get("steps") is not None:
+        raise InvalidWarp("blend makes one image: use blend_frames for steps", pointer="/steps")
     frames = list(blend_frames(images, landmarks, shape=shape, colour=colour, **options))
     if len(frames) != 1:
-        raise InvalidWarp("one share for each image is expected: use blend_frames for several")
+        raise InvalidWarp(
+            "one share for each image is expected, not one for each frame: use blend_frames"
+        )
     return frames[0]
 
 
@@ -143,6 +147,11 @@ def _entries(
     pairs: Sequence[int] | None,
 ) -> list[dict[str, Any]]:
     entries = []
+    if names is not None and len(names) != count:
+        raise InvalidWarp(
+            f"names: expected a list for each of {count} images; found {len(names)}",
+            pointer="/images",
+        )
     for index in range(count):
         entry: dict[str, Any] = {"image": index, "p": json_handles(landmarks[index], "p")}
         if names is not None:
