@@ -238,7 +238,7 @@ impl ResolvedRest {
         )?;
         let (mask, warnings) = (self.mask.clone(), self.warnings.clone());
         let rest = (self.units, self.mixed, mask, warnings);
-        let depth = self.depth.as_ref().map(|depth| depth.anew());
+        let depth = self.depth.as_ref().map(|depth| depth.unordered());
         let resolved = Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits);
         Ok(Self { depth, ..resolved })
     }

@@ -55,8 +55,8 @@ impl RestDepth {
         })
     }
 
-    /// The same on another grid.
-    pub(super) fn anew(&self) -> Arc<Self> {
+    /// The same depths for another grid, whose order is not computed yet.
+    pub(super) fn unordered(&self) -> Arc<Self> {
         Arc::new(Self {
             of_columns: self.of_columns.clone(),
             order: OnceLock::new(),
