@@ -1,6 +1,7 @@
 //! Admission to one class of work: a request runs, waits up to `max_wait`, or is rejected. A long
 //! job gives way to other clients.
 
+use std::cell::Cell;
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,6 +20,10 @@ const LOOK_AGAIN: Duration = Duration::from_millis(10);
 /// A job goes on without a permit after this time: permits may be held by requests that wait for
 /// what it builds.
 const MAX_PAUSE: Duration = Duration::from_secs(1);
+/// A thread of a lower class that makes way for a drag looks this often whether it has ended.
+const STAND_ASIDE_LOOK: Duration = Duration::from_micros(100);
+/// The longest time for which it stands aside; afterwards it works for as long as it has stood.
+const MAX_STAND_ASIDE: Duration = Duration::from_millis(4);
 /// A paused job looks this often whether it is cancelled.
 const PAUSED_LOOK: Duration = Duration::from_millis(5);
 
@@ -44,6 +49,10 @@ pub(crate) struct AdmissionQueue {
     queue: Mutex<FairQueue<Waiter>>,
     /// Waiting requests and paused jobs, for jobs that look without the lock.
     waiting: AtomicUsize,
+    /// Requests that run, for threads of a lower class.
+    running: Arc<AtomicUsize>,
+    /// Those of the class above, for which the threads of this one stand aside.
+    above: Option<Arc<AtomicUsize>>,
     max_wait: Duration,
     /// How long a job runs before it gives way to a client that has used less.
     turn: Duration,
@@ -85,6 +94,7 @@ pub(crate) struct AdmissionPermit {
 struct QueueGuard<'a> {
     queue: MutexGuard<'a, FairQueue<Waiter>>,
     waiting: &'a AtomicUsize,
+    running: &'a AtomicUsize,
 }
 
 impl Deref for QueueGuard<'_> {
@@ -107,6 +117,7 @@ impl Drop for QueueGuard<'_> {
             self.queue.waiting() + self.queue.paused(),
             Ordering::Relaxed,
         );
+        self.running.store(self.queue.running(), Ordering::Relaxed);
     }
 }
 
@@ -124,18 +135,22 @@ impl Drop for QueuePosition<'_> {
 }
 
 impl AdmissionQueue {
-    /// `turn`: how long a job runs before it gives way to a client that has used less.
+    /// `turn`: how long a job runs before it gives way to a client that has used less. `above`:
+    /// the class for which the threads of this one stand aside.
     pub(crate) fn new(
         threads: WorkerThreads,
         permits: usize,
         queue: usize,
         max_wait: Duration,
         turn: Duration,
+        above: Option<&Self>,
     ) -> Arc<Self> {
         Arc::new(Self {
             threads,
             queue: Mutex::new(FairQueue::new(permits, queue)),
             waiting: AtomicUsize::new(0),
+            running: Arc::default(),
+            above: above.map(|above| Arc::clone(&above.running)),
             max_wait,
             turn,
             began: Instant::now(),
@@ -149,6 +164,7 @@ impl AdmissionQueue {
         QueueGuard {
             queue: self.queue.lock().unwrap_or_else(PoisonError::into_inner),
             waiting: &self.waiting,
+            running: &self.running,
         }
     }
 
@@ -272,9 +288,14 @@ impl AdmissionPermit {
 
     /// Called by a job between parts of its work: if its turn is over and another client that has
     /// used less waits, that client gets the permit, and this thread sleeps until the job is next
-    /// or cancelled. Costs nothing while no request waits.
+    /// or cancelled. Costs nothing while no request waits and none of the class above runs.
     #[inline]
     pub(crate) fn give_way(&self, is_cancelled: &dyn Fn() -> bool) {
+        if let Some(above) = &self.queue.above
+            && above.load(Ordering::Relaxed) > 0
+        {
+            stand_aside(above);
+        }
         if self.queue.waiting.load(Ordering::Relaxed) > 0 {
             self.look_for_others(is_cancelled);
         }
@@ -318,6 +339,27 @@ impl AdmissionPermit {
         self.begin_turn(self.queue.turn);
         self.is_paused.store(false, Ordering::Relaxed);
     }
+}
+
+/// Sleeps while requests of the class above run. Niceness alone does not let them begin at once: a
+/// scheduler that is fair over some milliseconds lets each busy thread have its slice first, and a
+/// thread that was interrupted while it holds a lock keeps it until its next one.
+#[cold]
+fn stand_aside(above: &AtomicUsize) {
+    thread_local! {
+        /// When this thread may stand aside again.
+        static AGAIN: Cell<Option<Instant>> = const { Cell::new(None) };
+    }
+    let began = Instant::now();
+    if AGAIN.get().is_some_and(|again| began < again) {
+        return;
+    }
+    while above.load(Ordering::Relaxed) > 0 && began.elapsed() < MAX_STAND_ASIDE {
+        std::thread::sleep(STAND_ASIDE_LOOK);
+    }
+    // So this class has half of the time beside any number of drags.
+    let now = Instant::now();
+    AGAIN.set(now.checked_add(now - began));
 }
 
 impl Drop for AdmissionPermit {

@@ -208,20 +208,35 @@ impl Pool {
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let class = |name: &str, max_wait: Duration, niceness: i32, turn: Duration| {
-            let threads = WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness)
-                .map_err(|e| NoThreads(e.to_string()))?;
-            Ok(AdmissionQueue::new(threads, workers, queue, max_wait, turn))
+        let threads = |name: &str, niceness: i32| {
+            WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness)
+                .map_err(|e| NoThreads(e.to_string()))
         };
+        let drags = AdmissionQueue::new(
+            threads("drag", 0)?,
+            workers,
+            queue,
+            drag_wait,
+            DRAG_TURN,
+            None,
+        );
         Ok(Self {
-            drags: class("drag", drag_wait, 0, DRAG_TURN)?,
-            uploads: class("upload", upload_wait, UPLOAD_NICENESS, UPLOAD_TURN)?,
+            uploads: AdmissionQueue::new(
+                threads("upload", UPLOAD_NICENESS)?,
+                workers,
+                queue,
+                upload_wait,
+                UPLOAD_TURN,
+                Some(&drags),
+            ),
+            drags,
             transfers: AdmissionQueue::new(
                 WorkerThreads::default(),
                 MAX_TRANSFERS,
                 queue,
                 upload_wait,
                 UPLOAD_TURN,
+                None,
             ),
             parallel: Arc::new(Mutex::new(parallel)),
             workers,
