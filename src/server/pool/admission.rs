@@ -344,15 +344,17 @@ impl AdmissionPermit {
 /// Sleeps while requests of the class above run. Niceness alone does not let them begin at once: a
 /// scheduler that is fair over some milliseconds lets each busy thread have its slice first, and a
 /// thread that was interrupted while it holds a lock keeps it until its next one.
+///
+/// Whether it stood aside.
 #[cold]
-fn stand_aside(above: &AtomicUsize) {
+fn stand_aside(above: &AtomicUsize) -> bool {
     thread_local! {
         /// When this thread may stand aside again.
         static AGAIN: Cell<Option<Instant>> = const { Cell::new(None) };
     }
     let began = Instant::now();
     if AGAIN.get().is_some_and(|again| began < again) {
-        return;
+        return false;
     }
     while above.load(Ordering::Relaxed) > 0 && began.elapsed() < MAX_STAND_ASIDE {
         std::thread::sleep(STAND_ASIDE_LOOK);
@@ -360,6 +362,7 @@ fn stand_aside(above: &AtomicUsize) {
     // So this class has half of the time beside any number of drags.
     let now = Instant::now();
     AGAIN.set(now.checked_add(now - began));
+    true
 }
 
 impl Drop for AdmissionPermit {
@@ -368,5 +371,24 @@ impl Drop for AdmissionPermit {
             self.queue.lock().end(self.tenant, Instant::now());
             self.queue.pass_on();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_stands_aside_for_a_time_and_then_works_as_long() {
+        let running = AtomicUsize::new(1);
+        let began = Instant::now();
+        assert!(stand_aside(&running));
+        assert!(began.elapsed() >= MAX_STAND_ASIDE);
+        assert!(
+            (0..100_000).any(|_| !stand_aside(&running)),
+            "it always sleeps"
+        );
+        running.store(0, Ordering::Relaxed);
+        while !stand_aside(&running) {}
     }
 }
