@@ -358,7 +358,7 @@ def measure(attackers):
 
 
 def beside(attackers, client, count):
-    """Percentiles of what `count` of this client put: for each of its lists, all of them together."""
+    """Percentiles of what `count` of this client put, each of its lists for all together."""
     end, times = multiprocessing.Value("d", time.time() + 60), multiprocessing.Queue()
     run = as_soon_as_possible(client)
     clients = [multiprocessing.Process(target=run, args=(end, times)) for _ in range(count)]
