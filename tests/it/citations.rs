@@ -1,8 +1,11 @@
-//! What comments and notes cite exists: sections of `src/engine/MATHEMATICS.md`, and files of the
-//! repository.
+//! What comments and notes cite exists: sections of `src/engine/MATHEMATICS.md`, files of the
+//! repository, and functions and variants of types.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
+
+use crate::module_dependencies::sources;
+use crate::words::{code, is_part_of_name};
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
@@ -170,6 +173,110 @@ fn nothing_cites_a_line_of_a_file_or_an_unknown_document() {
             );
         }
     }
+}
+
+/// The names in a text.
+fn names(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c| !is_part_of_name(c))
+        .filter(|name| !name.is_empty())
+}
+
+/// What a line of code defines or implements: `impl Tree for Oak` is said of both.
+fn defined(line: &str) -> Vec<&str> {
+    let words: Vec<&str> = names(line).collect();
+    if words.iter().take(2).any(|word| *word == "impl") {
+        return words;
+    }
+    let defines = ["struct", "enum", "trait", "type", "union", "mod"];
+    words
+        .windows(2)
+        .filter(|pair| defines.contains(&pair[0]))
+        .map(|pair| pair[1])
+        .collect()
+}
+
+/// The last two names of each path in backticks in a comment: of `Oak::leaf`, `Oak` and `leaf`.
+fn cited_members(line: &str) -> Vec<(&str, &str)> {
+    let Some((_, comment)) = line.split_once("//") else {
+        return Vec::new();
+    };
+    let paths = comment.split('`').skip(1).step_by(2);
+    let pairs = paths.filter_map(|path| {
+        let path = path.split('(').next()?;
+        let (owner, member) = path.rsplit_once("::")?;
+        let owner = owner.rsplit("::").next()?;
+        let is_path = [owner, member]
+            .iter()
+            .all(|name| !name.is_empty() && name.chars().all(is_part_of_name));
+        (is_path && owner.starts_with(char::is_uppercase)).then_some((owner, member))
+    });
+    pairs.collect()
+}
+
+/// `Type::function` and `Enum::Variant` of comments stand in a file that defines or implements the
+/// type, or, if the type is another crate's, in one that names it.
+#[test]
+fn citations_of_functions_and_variants_name_what_exists() {
+    let mut files = Vec::new();
+    for folder in ["src", "tests/it", "tests/fuzz", "api/python/src"] {
+        sources(&Path::new(ROOT).join(folder), &mut files);
+    }
+    let texts: Vec<(PathBuf, String, String)> = files
+        .into_iter()
+        .map(|path| {
+            let text = std::fs::read_to_string(&path).unwrap();
+            let code = code(&text);
+            (path, text, code)
+        })
+        .collect();
+    let known: Vec<HashSet<&str>> = texts
+        .iter()
+        .map(|(_, _, code)| names(code).collect())
+        .collect();
+    let mut homes: HashMap<&str, Vec<usize>> = HashMap::new();
+    for (at, (_, _, code)) in texts.iter().enumerate() {
+        for name in code.lines().flat_map(defined) {
+            homes.entry(name).or_default().push(at);
+        }
+    }
+    let (mut count, mut missing) = (0, Vec::new());
+    for (at, (path, text, _)) in texts.iter().enumerate() {
+        // This file makes some up.
+        if path.ends_with("tests/it/citations.rs") {
+            continue;
+        }
+        for (number, line) in (1..).zip(text.lines()) {
+            for (owner, member) in cited_members(line) {
+                count += 1;
+                let exists = match homes.get(owner) {
+                    _ if owner == "Self" => known[at].contains(member),
+                    Some(homes) => homes.iter().any(|home| known[*home].contains(member)),
+                    None => known
+                        .iter()
+                        .any(|names| names.contains(owner) && names.contains(member)),
+                };
+                if !exists {
+                    missing.push(format!("{}:{number}: {owner}::{member}", path.display()));
+                }
+            }
+        }
+    }
+    assert!(count > 200, "{count} citations");
+    assert!(
+        missing.is_empty(),
+        "comments name what does not exist:\n{}",
+        missing.join("\n")
+    );
+}
+
+#[test]
+fn citations_of_functions_are_found_in_all_their_forms() {
+    let line = "x(); // See [`tree::Oak::leaf`], `Oak::of(a, b)`, `vec::new`, `Oak` and `Ash::`.";
+    assert_eq!(cited_members(line), [("Oak", "leaf"), ("Oak", "of")]);
+    assert!(cited_members("let path = tree::Oak::leaf;").is_empty());
+    assert_eq!(defined("pub(crate) struct Oak<T>(T);"), ["Oak"]);
+    assert!(defined("impl<T> Tree for Oak<T> {").contains(&"Oak"));
+    assert!(defined("let oak = Oak::new();").is_empty());
 }
 
 /// What a release is made from: `deploy/release` refuses a version without a dated heading.

@@ -85,7 +85,7 @@ const OUTLINES: [&str; 6] = [
 ];
 
 /// Code without comments and texts.
-fn code(text: &str) -> String {
+pub(crate) fn code(text: &str) -> String {
     let mut found = String::with_capacity(text.len());
     for line in text.lines() {
         let line = line.split("//").next().unwrap_or_default();
@@ -99,7 +99,7 @@ fn code(text: &str) -> String {
     found
 }
 
-fn is_part_of_name(c: char) -> bool {
+pub(crate) fn is_part_of_name(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 

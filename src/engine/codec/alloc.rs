@@ -39,7 +39,7 @@ pub(super) fn zeros<T: Copy + Default>(
     Ok(samples)
 }
 
-/// Number of samples of a picture.
+/// Number of samples of an image.
 pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
     pixels.saturating_mul(channels.count() as u64)
 }

@@ -1,6 +1,6 @@
 //! EXIF orientation: reads tag 0x0112 of IFD 0 (EXIF 2.32, 4.6.5), one of the eight symmetries of a
 //! rectangle, and applies it. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity,
-//! never an error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles
+//! never an error. Cost: 1 to 4 work in place; 5 to 8 need a second image and are copied in tiles
 //! that fit the first-level cache.
 
 use super::alloc::zeros;
@@ -9,7 +9,7 @@ use super::{CodecError, StepCounter};
 const ORIENTATION_TAG: u16 = 0x0112;
 const TYPE_SHORT: u16 = 3;
 
-/// Side of the squares in which a picture is transposed: 64 rows of 64 RGBA16 pixels are 32 KiB.
+/// Side of the squares in which an image is transposed: 64 rows of 64 RGBA16 pixels are 32 KiB.
 const TILE_SIDE: usize = 64;
 /// Pixels that are mirrored at once.
 const MIRRORED_PIXELS: usize = 1 << 10;
@@ -94,7 +94,7 @@ impl ExifOrientation {
         )
     }
 
-    /// Transforms `stored: [rows][width][N]` to the upright picture unless cancelled.
+    /// Transforms `stored: [rows][width][N]` to the upright image unless cancelled.
     pub(super) fn apply<T: Copy + Default, const N: usize>(
         self,
         mut stored: Vec<T>,

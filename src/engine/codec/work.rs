@@ -23,7 +23,8 @@ const REQUESTS_PER_CHECK: u32 = 1 << 10;
 pub struct StepCounter<'a> {
     cancelled: &'a dyn Fn() -> bool,
     steps: Cell<u64>,
-    asked: Cell<u64>,
+    /// Steps at the last call of `cancelled`.
+    checked_at: Cell<u64>,
 }
 
 impl fmt::Debug for StepCounter<'_> {
@@ -41,7 +42,7 @@ impl<'a> StepCounter<'a> {
         Self {
             cancelled,
             steps: Cell::new(0),
-            asked: Cell::new(0),
+            checked_at: Cell::new(0),
         }
     }
 
@@ -56,10 +57,10 @@ impl<'a> StepCounter<'a> {
     pub(super) fn step(&self, count: u64) -> Result<(), CodecError> {
         let steps = self.steps.get() + count;
         self.steps.set(steps);
-        if steps < self.asked.get() + STEPS_PER_CHECK {
+        if steps < self.checked_at.get() + STEPS_PER_CHECK {
             return Ok(());
         }
-        self.asked.set(steps);
+        self.checked_at.set(steps);
         self.check()
     }
 
@@ -177,7 +178,7 @@ impl ZByteReaderTrait for Bytes<'_> {
     }
 
     fn read_exact_bytes(&mut self, into: &mut [u8]) -> Result<(), ZByteIoError> {
-        // Called for the heads of segments: a scan may pass over the whole picture in a few bytes.
+        // Called for the heads of segments: a scan may pass over the whole image in a few bytes.
         self.ask()?;
         self.cursor.read_exact_bytes(into)
     }

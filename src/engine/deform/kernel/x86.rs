@@ -22,7 +22,7 @@ pub(super) fn displace_avx2(
     ) -> f32 {
         scalar::displace_inline(form, table, d, out)
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(form, table, d, out) }
 }
 
@@ -42,7 +42,7 @@ pub(super) fn displace_avx512(
     ) -> f32 {
         scalar::displace_inline(form, table, d, out)
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(form, table, d, out) }
 }
 
@@ -62,7 +62,7 @@ pub(super) fn rows_avx2<const N: usize>(
     ) {
         inputs.rows(v, scratch, rows);
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(inputs, v, scratch, rows) }
 }
 
@@ -82,7 +82,7 @@ pub(super) fn rows_avx512<const N: usize>(
     ) {
         inputs.rows(v, scratch, rows);
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(inputs, v, scratch, rows) }
 }
 
@@ -92,7 +92,7 @@ pub(super) fn run_avx2<W: LaneWork>(work: W) -> W::Output {
     fn body<W: LaneWork>(work: W) -> W::Output {
         work.run()
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(work) }
 }
 
@@ -102,6 +102,6 @@ pub(super) fn run_avx512<W: LaneWork>(work: W) -> W::Output {
     fn body<W: LaneWork>(work: W) -> W::Output {
         work.run()
     }
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(work) }
 }

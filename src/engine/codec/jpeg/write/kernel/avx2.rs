@@ -10,9 +10,9 @@ use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
-/// Must be called where [`crate::level::SimdLevel::Avx2`] is here.
+/// Must be called where [`crate::level::SimdLevel::Avx2`] is supported.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
-    // SAFETY: the one caller asks `Level::is_here` first.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { wide(job, out, wanted) }
 }
 

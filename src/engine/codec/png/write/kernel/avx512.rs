@@ -9,9 +9,9 @@ use super::super::fast;
 use super::super::rows::StripRows;
 use crate::codec::bits::BitWriter;
 
-/// Must be called where [`crate::level::SimdLevel::Avx512`] is here.
+/// Must be called where [`crate::level::SimdLevel::Avx512`] is supported.
 pub(super) fn fast(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
-    // SAFETY: the one caller asks `Level::is_here` first, which covers every feature.
+    // SAFETY: the one caller asks `SimdLevel::is_supported` first, which covers every feature.
     unsafe { fast_avx512(rows, last, most, out) }
 }
 
