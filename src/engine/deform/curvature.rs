@@ -9,8 +9,9 @@ use crate::geometry::lane_math::hypot;
 const NARROW_CELL_SHARE: f64 = 0.25;
 
 /// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a
-/// patch is at most an eighth of the second differences of both axes together; of each vertex. A
-/// grid of fewer than four lines along an axis has no differences there.
+/// patch is at most an eighth of the second differences of both axes together. The larger value of
+/// two neighbouring vertices counts. A grid of fewer than four lines along an axis has no
+/// differences there.
 pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);

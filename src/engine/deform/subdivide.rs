@@ -40,10 +40,10 @@ const INTERPOLATED_TOLERANCE_SHARE: f32 = 0.35;
 /// The largest difference of two targets at one position that counts as one, as a share of the
 /// tolerance.
 const TORN_TOLERANCE_SHARE: f64 = 0.5;
-/// Cells are not halved below this size, px.
+/// Cells of at most this size, px, are not halved.
 const SMALLEST_CELL: f64 = 0.5;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as
-/// well: halved once, all of them.
+/// well. With a half, each handle is near one of two opposite sides.
 const NEIGHBOUR_HANDLE_CELLS: f64 = 0.5;
 /// An error between the vertices where it is measured is at most this much larger: where the grid
 /// resolves f, and elsewhere.
@@ -405,7 +405,7 @@ impl PoseMeasurement<'_> {
     /// measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
-        // All levels before any is changed: so the order of the cells is no matter.
+        // All levels before any is changed, so that the order of the cells does not matter.
         let levels: Vec<u8> = self
             .cells
             .known
@@ -426,9 +426,9 @@ impl PoseMeasurement<'_> {
                 if vertices.is_empty() {
                     vertices = known.at_level(level);
                 }
-                // On a common edge both cells use the vertices of the finer one; where these lie on
-                // the straight line of the coarser one, within the tolerance, nothing is to be
-                // done.
+                // The edge is drawn with the vertices of the coarser cell (`Subdivision::join`).
+                // Where those of the finer one lie on its straight lines, within the tolerance,
+                // nothing is to be done.
                 let least = edge_level(&vertices, (1 << level) + 1, edge, self.tolerance());
                 if least > other_level {
                     wanted.push((other, least));

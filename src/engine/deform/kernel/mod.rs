@@ -120,7 +120,7 @@ mod tests {
     use crate::deform::methods::mls::metric::Euclidean;
     use crate::geometry::Point;
 
-    /// Every level gives the bits of the reference, for every family.
+    /// Every level gives the bits of the reference, for every class.
     #[test]
     fn levels_give_the_same_bits() {
         let mut state = 1u32;

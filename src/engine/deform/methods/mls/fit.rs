@@ -1,5 +1,5 @@
-//! Fits the map at a vertex (steps 4 to 6 of mathematics 7.1): centroid, second moments, and the
-//! rows of the family, rotated back from the frame. The mass of a segment is distributed along its
+//! Fits the map at a vertex (steps 4 and 5 of mathematics 7.1): centroid, second moments, and the
+//! rows of the class, rotated back from the frame. The mass of a segment is distributed along its
 //! direction; sums need only its moments, so it adds a few terms to those of a point.
 
 use super::segment_moments::SegmentMoments;

@@ -6,8 +6,8 @@
 //! - `u D^-alpha F(1, alpha; alpha + 1/2; h^2 / D) / (2 alpha - 1)`
 //!
 //! Both arguments are at most 1/2, where the hypergeometric functions F are polynomials to 1e-14,
-//! fitted once per alpha. The first and the second moment follow from powers at the ends. Unit: the
-//! length of the segment.
+//! fitted once per alpha. The first and the second moment follow from powers at the ends. Lengths
+//! are those of the segment.
 
 use super::falloff::Falloff;
 use crate::geometry::lane_math::pow;
@@ -91,8 +91,9 @@ impl IncompleteBeta {
             h,
             ratio,
         } = along;
-        // What both ends have in common is left out where v is so near to the extension that it
-        // would cancel.
+        // The integral to an end at `|u| >= h` contains the one from the foot to infinity. Where v
+        // is beyond an end, at `|nearest| >= h`, both integrals do, and both leave it out: near the
+        // extension it exceeds their difference by so much that nothing would be left.
         let mut common = [0.0; N];
         for k in 0..N {
             common[k] = ratio[k] / (h[k] * h[k]);
@@ -126,8 +127,8 @@ impl IncompleteBeta {
         m
     }
 
-    /// The integral of w from the foot to u, or from infinity where `common` is 0; `D w` and
-    /// `u D w`.
+    /// The integral of w from the foot to u, without the one from the foot to infinity where
+    /// `common` is 0; `D w` and `u D w`.
     #[inline(always)]
     fn up_to<const N: usize>(
         &self,

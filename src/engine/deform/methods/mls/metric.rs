@@ -17,13 +17,13 @@ pub(in crate::deform) trait Metric: Copy {
     /// px^2.
     fn squared<const N: usize>(&self, index: usize, p: Point, v: &Vertices<N>) -> [f64; N];
 
-    /// The squared distances of N vertices from segment number `index` of the set, which they see
-    /// so, px^2.
+    /// The squared distances of N vertices from segment number `index` of the set, px^2; `view`:
+    /// where it is relative to them.
     fn spread<const N: usize>(&self, index: usize, view: &View<N>) -> [f64; N];
 
-    /// What the squared distance in the plane from a position of that segment is compared with, so
-    /// that the weight of the position is relative to that of the nearest source: its squared
-    /// distance, in the measure in which the segment is as far as in the plane, px^2.
+    /// The value of r2min with which the weights of this segment's positions are computed, px^2:
+    /// they use squared distances in the plane, so where the segment is farther by another metric,
+    /// r2min is divided by the same factor.
     fn relative<const N: usize>(&self, index: usize, view: &View<N>, r2min: &[f64; N]) -> [f64; N];
 }
 

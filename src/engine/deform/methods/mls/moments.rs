@@ -78,7 +78,8 @@ impl RadialKernel for Falloff {
     }
 }
 
-/// What the heaviest point of each vertex is the origin of.
+/// The heaviest point of each vertex, which is the origin of its sums: squared distance, mass,
+/// position, displacement.
 struct MomentOrigin {
     r2: [f64; ANCHORED_VERTICES],
     mass: [f64; ANCHORED_VERTICES],
@@ -209,7 +210,8 @@ impl<'a> MomentInputs<'a> {
         }
     }
 
-    /// The family's map of similarity `1 + u` at e, beyond e.
+    /// The displacement of v, px, and `|m|` (mathematics 2.3): `e = v - p*`, `d` the mean
+    /// displacement.
     fn turned(&self, e: Vec2, d: Vec2, u: Vec2) -> (Vec2, f64) {
         match self.form {
             CoefficientForm::Rigid => (d + e.complex_mul(rho(u)), hypot(1.0 + u.x, u.y)),

@@ -51,12 +51,13 @@ pub(in crate::deform) struct RowInputs<'a, M> {
 struct Anchor<const N: usize> {
     weight: [f64; N],
     source: [u64; N],
-    /// The point itself; v where a segment is the anchor.
+    /// What is subtracted from positions before the turn: the point itself; for a segment v,
+    /// because `shift` then moves the origin to its position nearest to v with all digits.
     o: Vertices<N>,
     /// The direction of the segment; zero until `choose_frame` if a point is the anchor. Points
     /// come first, so they never reset it.
     tau: [[f64; N]; 2],
-    /// v from the position of the anchor segment nearest to it, in the frame, exact.
+    /// v minus that position, in the frame, exact; 0 for a point.
     shift: [[f64; N]; 2],
     /// The point that defines the frame of an anchor point; it lies exactly on the axis, at this
     /// distance from the anchor.

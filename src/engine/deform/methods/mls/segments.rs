@@ -15,11 +15,11 @@ use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
 use crate::geometry::lane_math::angle;
 
-/// The closed form replaces the nodes for a segment further away than this share of its length:
-/// nearer, its second moment cancels by (L/h)^2.
+/// The closed form of alpha 2 replaces the nodes for a segment farther away than this share of its
+/// length: nearer, at a distance r, its second moment cancels by (L/r)^2.
 const CLOSED_FROM: f64 = 1e-3;
 /// The closed form of other alphas replaces the nodes for a segment nearer than this number of its
-/// lengths: further away, its second moment cancels by (h/L)^3.
+/// lengths: farther away, its second moment cancels by (r/L)^3.
 const CLOSED_TO: f64 = 32.0;
 
 /// The position of a segment relative to N vertices.
