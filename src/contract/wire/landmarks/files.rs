@@ -70,7 +70,7 @@ impl Choice {
     }
 
     /// Adds a field that is written as text.
-    /// Errors: It has another value, or is given already.
+    /// Errors: the field cannot have this value, or is given already.
     pub fn add_text(&mut self, name: &str, text: &str) -> Result<(), Problem> {
         if name == "item" {
             return self.add(Self {

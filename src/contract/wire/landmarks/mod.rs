@@ -91,7 +91,7 @@ enum FormatReader {
 }
 
 /// The formats, in the order in which they are asked; CSV is what no other table is.
-const FORMATS: [Format; 21] = [
+const FORMATS: &[Format] = &[
     labelme::FORMAT,
     own::FORMAT,
     coco::FORMAT,
@@ -117,7 +117,8 @@ const FORMATS: [Format; 21] = [
 
 /// What people call the formats, with commas.
 fn titles() -> String {
-    FORMATS.each_ref().map(|format| format.title).join(", ")
+    let titles: Vec<&str> = FORMATS.iter().map(|format| format.title).collect();
+    titles.join(", ")
 }
 
 /// Whether a response has this text as its `format`.
@@ -210,7 +211,7 @@ fn read_json(source: SourceText<'_>, start: usize, out: &mut Collector) -> Resul
     let node = super::json::long_value(&text[start..], source.work)
         .map_err(|e| Bad::of_syntax(text, start, &e))?;
     let fields = ObjectMembers::of(&node);
-    for format in &FORMATS {
+    for format in FORMATS {
         if let FormatReader::Json(is, read) = format.form
             && is(&fields)
         {
@@ -224,7 +225,7 @@ fn read_json(source: SourceText<'_>, start: usize, out: &mut Collector) -> Resul
 
 fn read_text(source: SourceText<'_>, content: &str, out: &mut Collector) -> Result<Reading, Bad> {
     let (head, first) = (head(content), first_line(content));
-    for format in &FORMATS {
+    for format in FORMATS {
         match format.form {
             FormatReader::Head(is, read) if is(head) => return Ok((format, read(source, out)?)),
             FormatReader::Lines(is, read) if is(first) => return Ok((format, read(source, out)?)),
@@ -250,7 +251,7 @@ fn read_text(source: SourceText<'_>, content: &str, out: &mut Collector) -> Resu
             ),
         ));
     }
-    for format in &FORMATS {
+    for format in FORMATS {
         if let FormatReader::Table(is, read) = format.form
             && is(&table.first)
         {

@@ -1,6 +1,7 @@
 use serde_json::{Value, json};
 
 use super::read;
+use crate::wire::landmarks::FORMATS;
 
 /// The centre of the first pixel, and the centre of the pixel (9, 4), as each format writes them.
 /// (Normalised: of an image of 16 x 8 px.)
@@ -110,13 +111,41 @@ fn convention_the_centre_of_the_first_pixel_is_half_in_each_format() {
         assert_eq!(read["units"], "px", "{format}");
         assert_eq!(read["p"], json!([[0.5, 0.5], [9.5, 4.5]]), "{format}");
     }
-    for format in &crate::wire::landmarks::FORMATS {
+    for format in FORMATS {
         assert!(
             CENTRES.iter().any(|(name, _)| *name == format.name),
             "{} has no file",
             format.name
         );
     }
+}
+
+/// The names that a response may have stand twice in the pattern: of one file, and of the second of
+/// two.
+#[test]
+fn the_contract_has_the_name_of_each_format_and_the_readme_their_number() {
+    let contract: Value =
+        serde_json::from_str(include_str!("../../../../../api/openapi.json")).unwrap();
+    let pattern = &contract["components"]["schemas"]["LandmarkFormat"]["pattern"];
+    let names: Vec<&str> = FORMATS.iter().map(|format| format.name).collect();
+    let listed: Vec<&str> = pattern
+        .as_str()
+        .unwrap()
+        .split(|c: char| !c.is_ascii_lowercase())
+        .filter(|name| !name.is_empty())
+        .collect();
+    for name in &names {
+        let count = listed.iter().filter(|listed| *listed == name).count();
+        assert_eq!(count, 2, "{name}");
+    }
+    for listed in listed {
+        assert!(names.contains(&listed), "{listed}");
+    }
+    let kinds = format!("landmark files of {} kinds", FORMATS.len());
+    assert!(
+        include_str!("../../../../../README.md").contains(&kinds),
+        "README.md: {kinds}"
+    );
 }
 
 /// Files and what is read from them.
