@@ -50,11 +50,11 @@ import { Table } from "./table.js";
 import { View } from "./view.js";
 import { BEHIND, LINES_ONLY, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
-const wishes = new URLSearchParams(location.search);
-const told = named("limits");
+const queryFields = new URLSearchParams(location.search);
+const limitsText = named("limits");
 const limits = /** @type {Page.Limits} */ (
   Object.fromEntries(
-    told
+    limitsText
       .split(" ")
       .map((pair) => pair.split("="))
       .map(([name, value]) => [name, Number(value)]),
@@ -63,8 +63,13 @@ const limits = /** @type {Page.Limits} */ (
 
 const stage = find("stage");
 const store = new Store();
-const view = new View(stage, wishes.get("webgl") !== "off");
-const sync = new Sync(store, view, wishes.get("socket") !== "off", wishes.get("plan") !== "off");
+const view = new View(stage, queryFields.get("webgl") !== "off");
+const sync = new Sync(
+  store,
+  view,
+  queryFields.get("socket") !== "off",
+  queryFields.get("plan") !== "off",
+);
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back));
 const opener = new Opener(
@@ -205,7 +210,7 @@ store.subscribe((state, previous) => {
 function observe() {
   const { state } = store;
   const { shown } = sync;
-  const told = {
+  const observed = {
     state: sync.condition,
     revision: state.revision,
     shown: shown.revision ?? "",
@@ -237,8 +242,8 @@ function observe() {
     problem: state.problem?.code ?? "",
     kept: keeper.kept,
   };
-  find("behind").textContent = BEHIND[told.behind] ?? "";
-  for (const [name, value] of Object.entries(told))
+  find("behind").textContent = BEHIND[observed.behind] ?? "";
+  for (const [name, value] of Object.entries(observed))
     if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = String(value);
 }
 store.subscribe(observe);

@@ -16,16 +16,16 @@ import { PLAY } from "./words.js";
  */
 export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
 /** The number of equal parts of the way, at whose ends meshes are fetched. */
-const PARTS = 8;
+const MESH_PARTS = 8;
 /** Time of one way, ms. */
 export const TIME = 1500;
 /**
  * The longest step of time between two frames, ms: a slow browser plays more slowly instead of
  * skipping frames.
  */
-const LONGEST = 200;
+const LONGEST_STEP_MS = 200;
 /** Stills that replace the motion of one way if the user prefers reduced motion. */
-const STILLS = 5;
+const STILL_COUNT = 5;
 
 const STORED = "animation";
 export const MOST_FRAMES = 10_000;
@@ -122,12 +122,14 @@ export class Player {
     /** @type {(now: number) => void} */
     const frame = (now) => {
       if (!isMine()) return;
-      time += Math.min(LONGEST, Math.max(0, now - last)) / TIME;
+      time += Math.min(LONGEST_STEP_MS, Math.max(0, now - last)) / TIME;
       last = now;
       if (time > (back ? 2 : 1)) return this.stop();
-      const way = back ? Math.abs(1 - time) : time;
+      const shareOfTime = back ? Math.abs(1 - time) : time;
       const share = EASINGS[easing](
-        this.still.matches ? Math.round(way * (STILLS - 1)) / (STILLS - 1) : way,
+        this.still.matches
+          ? Math.round(shareOfTime * (STILL_COUNT - 1)) / (STILL_COUNT - 1)
+          : shareOfTime,
       );
       this.store.do("play", { playing: Math.round(100 * share * goal) / 100 });
       this.view.play(this.#meshAt(share));
@@ -147,10 +149,10 @@ export class Player {
       const { at } = posesOf(document);
       /** @type {(k: number) => Promise<Page.Mesh>} */
       const meshAt = async (k) =>
-        new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / PARTS), "q") })).places);
+        new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / MESH_PARTS), "q") })).places);
       return [
         Mesh.atRest(grid),
-        ...(await Promise.all(Array.from({ length: PARTS }, (_, k) => meshAt(k)))),
+        ...(await Promise.all(Array.from({ length: MESH_PARTS }, (_, k) => meshAt(k)))),
       ];
     });
     this.#meshes = { document, list };
@@ -158,9 +160,9 @@ export class Player {
 
   /** @param {number} share */
   #meshAt(share) {
-    const before = Math.min(PARTS - 1, Math.floor(share * PARTS));
+    const before = Math.min(MESH_PARTS - 1, Math.floor(share * MESH_PARTS));
     const { list } = this.#meshes;
-    return list[before].towards(list[before + 1], share * PARTS - before);
+    return list[before].towards(list[before + 1], share * MESH_PARTS - before);
   }
 
   /** @param {Page.State} state */

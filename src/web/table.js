@@ -163,17 +163,18 @@ export class Table {
   }
 
   /**
-   * Fills the rows, except those whose handle is among the `told` ones: during a drag most are.
+   * Fills the rows. `before`: the handles that they show; the rows of those that are still there are
+   * left as they are, which during a drag are most.
    * @param {Page.State} state
-   * @param {Page.Handle[]} [told]
+   * @param {Page.Handle[]} [before]
    */
-  #fill(state, told = []) {
+  #fill(state, before = []) {
     const { document, selection, problem, apart } = state;
     this.#filled = { document, selection, problem, apart };
     const marks = [...marked(problem), ...apart];
     for (const { row, index, vertex, inputs } of this.#rows) {
       const handle = document.handles[index];
-      if (handle === told[index]) continue;
+      if (handle === before[index]) continue;
       row.classList.toggle(
         "selected",
         selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`),
