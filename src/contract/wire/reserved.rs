@@ -173,7 +173,7 @@ impl<H> Reserved<PointsObject, H> {
 }
 
 impl<H> Reserved<WarpPatch, H> {
-    /// Reads a warp object. Errors: as `reserve` has them; the object is not as the contract says.
+    /// Reads a warp object. Errors: those of `reserve`; the object is not as the contract says.
     pub fn parse(
         json: &[u8],
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
@@ -183,13 +183,13 @@ impl<H> Reserved<WarpPatch, H> {
 }
 
 impl<H> Reserved<BlendObject, H> {
-    /// Reads the object of a blend. Errors: as `reserve` has them; the object is not as the
-    /// contract says.
+    /// Reads the object of a blend. Errors: those of `reserve`; the object is not as the contract
+    /// says.
     pub fn parse(
         json: &[u8],
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        // Each name has two of them.
+        // Each name has two quotation marks.
         let quotes = json.iter().filter(|byte| **byte == b'"').count();
         let names = (json.len() + QUOTE_BYTES * quotes) as u64;
         Self::read(reading_bytes(json) + names, reserve, || {
@@ -199,7 +199,7 @@ impl<H> Reserved<BlendObject, H> {
 }
 
 impl<H> Reserved<Landmarks, H> {
-    /// Reads landmark files. Errors: As [`LandmarkFiles`] describes; cancelled.
+    /// Reads landmark files. Errors: as [`LandmarkFiles`] describes; cancelled.
     pub fn of_files(
         files: &LandmarkFiles,
         max_columns: usize,

@@ -79,7 +79,7 @@ impl CutRest {
 
     /// The size of the lattice that a mask has with cells of `side` px.
     ///
-    /// Errors: It takes more memory than the limit of a plan; cancelled.
+    /// Errors: the lattice takes more memory than the limit of a plan; cancelled.
     fn size(
         mask: &Mask,
         side: u32,

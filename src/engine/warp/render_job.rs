@@ -29,16 +29,16 @@ impl RenderJob {
     /// # Errors
     /// Those of [`OutputSpec::target`] and [`RasterSource::check`].
     pub fn new(
-        subject: RasterSource<'_>,
+        source: RasterSource<'_>,
         posed: &PosedMesh,
         output: &OutputSpec,
         limits: &Limits,
     ) -> Result<Self, WarpError> {
-        subject.check(output)?;
+        source.check(output)?;
         posed.check_outside(output.outside)?;
         Ok(Self::onto(
-            output.target(subject.extent(), posed, limits, &|| false)?,
-            subject,
+            output.target(source.extent(), posed, limits, &|| false)?,
+            source,
             posed,
             output,
         ))
@@ -51,23 +51,23 @@ impl RenderJob {
     #[must_use]
     pub fn onto(
         target: Target,
-        subject: RasterSource<'_>,
+        source: RasterSource<'_>,
         posed: &PosedMesh,
         output: &OutputSpec,
     ) -> Self {
-        let drawer = subject.drawer(target, posed, output);
-        let encoding = output.encoding(subject.depth());
-        let writer = subject.writer(drawer.layout(), &target, encoding);
+        let drawer = source.drawer(target, posed, output);
+        let encoding = output.encoding(source.depth());
+        let writer = source.writer(drawer.layout(), &target, encoding);
         Self {
             drawer,
             writer,
             format: output.format,
-            etag: etag(subject, posed, output, target),
+            etag: etag(source, posed, output, target),
             target,
         }
     }
 
-    /// Digest of subject, resolved request and version: the ETag.
+    /// Digest of source, resolved request and version: the ETag.
     #[must_use]
     pub const fn etag(&self) -> Digest {
         self.etag
@@ -85,7 +85,7 @@ impl RenderJob {
         self.format
     }
 
-    /// Whether the file has alpha and the subject has none.
+    /// Whether the file has alpha and the source has none.
     #[must_use]
     pub fn adds_alpha(&self) -> bool {
         self.drawer.adds_alpha()
@@ -137,7 +137,7 @@ impl RenderJob {
 }
 
 fn etag(
-    subject: RasterSource<'_>,
+    source: RasterSource<'_>,
     posed: &PosedMesh,
     output: &OutputSpec,
     Target {
@@ -147,7 +147,7 @@ fn etag(
         is_preview,
     }: Target,
 ) -> Digest {
-    let encoding = output.encoding(subject.depth()).identity();
+    let encoding = output.encoding(source.depth()).identity();
     let filter = match output.filter {
         Filter::Nearest => 0,
         Filter::Bilinear => 1,
@@ -164,7 +164,7 @@ fn etag(
             .collect(),
     };
     let digest = Collector::new("mlswarp answer 6")
-        .bytes(&subject.digest().0)
+        .bytes(&source.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)
         .integer(filter)

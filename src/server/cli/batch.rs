@@ -7,7 +7,7 @@ use bytes::Bytes;
 use serde_json::json;
 
 use super::failure::{Failure, name_of};
-use super::frames::{Out, ProgressBar, format_of, number_of, with_summary};
+use super::frames::{FramesOutput, ProgressBar, format_of, number_of, with_summary};
 use super::input::{Limit, is_stdio};
 use super::options::require_quality_of_jpeg;
 use super::service::{Service, summary};
@@ -55,7 +55,12 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let located = |problem| input::located(&merged, problem);
     let (format, cure) = format_of(kind, &merged);
     require_quality_of_jpeg(&args.file, format, cure)?;
-    let (layers, drawn) = selected(layers, &merged, region.is_some(), kind == Out::Directory)?;
+    let (layers, drawn) = selected(
+        layers,
+        &merged,
+        region.is_some(),
+        kind == FramesOutput::Directory,
+    )?;
     let whole = Bytes::from(merged.with("layers", drawn));
     let files = handles.landmarks.read_files(config)?;
     let file = input::read("image", image, Limit::body(config))?;
@@ -298,14 +303,14 @@ impl LayerOption {
     }
 }
 
-fn kind_of(out: &Path) -> Result<Out, Problem> {
+fn kind_of(out: &Path) -> Result<FramesOutput, Problem> {
     let is_directory = output::is_directory(out);
     // A device or a pipe has no extension.
     if is_stdio(out) || out.exists() && !out.is_file() && !is_directory {
-        return Ok(Out::File(BatchForm::Zip));
+        return Ok(FramesOutput::File(BatchForm::Zip));
     }
     if is_directory {
-        return Ok(Out::Directory);
+        return Ok(FramesOutput::Directory);
     }
     let known = [
         ("zip", BatchForm::Zip),
@@ -313,5 +318,6 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
         ("apng", BatchForm::Apng),
         ("gif", BatchForm::Gif),
     ];
-    Ok(output::by_extension(out, &known, ", or a folder")?.map_or(Out::Directory, Out::File))
+    Ok(output::by_extension(out, &known, ", or a folder")?
+        .map_or(FramesOutput::Directory, FramesOutput::File))
 }

@@ -10,7 +10,7 @@ use mlswarp::codec::Format;
 use serde_json::{Value, json};
 
 use super::failure::{Failure, name_of};
-use super::frames::{Out, ProgressBar, format_of, number_of, with_summary};
+use super::frames::{FramesOutput, ProgressBar, format_of, number_of, with_summary};
 use super::images::{Inputs, companion};
 use super::input::{Limit, is_stdio};
 use super::options::require_quality_of_jpeg;
@@ -121,7 +121,7 @@ fn write_picture(service: &Service, drawn: Drawn, out: &Path) -> Result<(), Fail
 #[derive(Clone, Copy)]
 enum Kind {
     Picture(Format),
-    Frames(Out),
+    Frames(FramesOutput),
 }
 
 /// Errors: An end of a name that is not known, or of a format that has one picture for several.
@@ -130,17 +130,17 @@ fn kind_of(out: &Path, frames: usize, merged: &Merged) -> Result<Kind, Failure> 
     let is_stream = is_stdio(out) || out.exists() && !out.is_file() && !is_directory;
     let picture = |of_name: Option<Format>| {
         let named = merged.place("/output/format").is_some();
-        let requested = named.then(|| format_of(Out::Directory, merged).0);
+        let requested = named.then(|| format_of(FramesOutput::Directory, merged).0);
         Kind::Picture(requested.or(of_name).unwrap_or_default())
     };
     if is_stream {
         return Ok(match frames {
             1 => picture(None),
-            _ => Kind::Frames(Out::File(BatchForm::Zip)),
+            _ => Kind::Frames(FramesOutput::File(BatchForm::Zip)),
         });
     }
     if is_directory {
-        return Ok(Kind::Frames(Out::Directory));
+        return Ok(Kind::Frames(FramesOutput::Directory));
     }
     let of_format = |format: Format| {
         let ends = format.info().extensions.iter();
@@ -151,17 +151,17 @@ fn kind_of(out: &Path, frames: usize, merged: &Merged) -> Result<Kind, Failure> 
         ("apng", BatchForm::Apng),
         ("gif", BatchForm::Gif),
     ];
-    let packages = packages.map(|(end, form)| (end, Kind::Frames(Out::File(form))));
+    let packages = packages.map(|(end, form)| (end, Kind::Frames(FramesOutput::File(form))));
     let known: Vec<_> = Format::ALL
         .into_iter()
         .flat_map(of_format)
         .chain(packages)
         .collect();
     match output::by_extension(out, &known, ", or a folder")? {
-        None if frames > 1 => Ok(Kind::Frames(Out::Directory)),
+        None if frames > 1 => Ok(Kind::Frames(FramesOutput::Directory)),
         None => Ok(picture(None)),
         Some(Kind::Picture(Format::Png)) if frames > 1 => {
-            Ok(Kind::Frames(Out::File(BatchForm::Apng)))
+            Ok(Kind::Frames(FramesOutput::File(BatchForm::Apng)))
         }
         Some(Kind::Picture(_)) if frames > 1 => Err(Failure::Local(format!(
             "{frames} frames cannot be written to {}: give .zip, .gif, .png or .apng, or a folder, \

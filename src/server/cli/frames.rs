@@ -17,15 +17,15 @@ use crate::wire::{EnumName as _, Merged};
 /// Characters of the progress bar.
 const BAR_CHARACTERS: usize = 40;
 
-/// What is written.
+/// What frames are written to.
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum Out {
+pub(super) enum FramesOutput {
     File(BatchForm),
     /// The files of the archive.
     Directory,
 }
 
-impl Out {
+impl FramesOutput {
     /// What the use case makes; the files of a directory come in an archive.
     pub(super) fn form(self) -> BatchForm {
         match self {
@@ -74,7 +74,7 @@ pub(super) fn with_summary(what: String, more: Option<String>) -> String {
 }
 
 /// The format of the pictures, and how they become JPEG. A wrong name is left to its parser.
-pub(super) fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
+pub(super) fn format_of(kind: FramesOutput, merged: &Merged) -> (Format, &'static str) {
     let output: Value = merged
         .value("output")
         .and_then(|text| serde_json::from_str(text).ok())

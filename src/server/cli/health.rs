@@ -12,7 +12,7 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 /// Bytes of a response that are read: its head, and the words about a wrong protocol.
 const RESPONSE_BYTES: u64 = 4096;
 
-/// Whether the server can take work now. Errors: It cannot be reached, or is not ready. The
+/// Whether the server can take work now. Errors: it cannot be reached, or is not ready. The
 /// sentence names the address, and what selects another.
 pub fn ask(config: &Config) -> Result<(), String> {
     // The ops listener has no TLS and connections of its own.

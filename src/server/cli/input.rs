@@ -38,7 +38,7 @@ impl Limit {
 }
 
 /// Reads a file or standard input.
-/// Errors: It cannot be read, or has more bytes than the limit.
+/// Errors: the file cannot be read, or has more bytes than the limit.
 pub(super) fn read(what: &str, path: &Path, Limit(limit, flag): Limit) -> Result<Vec<u8>, Failure> {
     let cannot = |e: io::Error| Failure::Local(format!("cannot read the {what} {path:?}: {e}"));
     if path.is_dir() {
@@ -323,7 +323,7 @@ impl Body {
 }
 
 /// The compute threads.
-/// Errors: They cannot be started.
+/// Errors: the threads cannot be started.
 pub(super) fn threads(config: &Config) -> Result<ThreadPool, Failure> {
     let threads = rayon::ThreadPoolBuilder::new()
         .num_threads(config.work.workers)

@@ -37,7 +37,7 @@ pub(super) fn is_directory(out: &Path) -> bool {
 }
 
 /// Creates a folder unless it exists.
-/// Errors: It cannot be created.
+/// Errors: the folder cannot be created.
 pub(super) fn create_directory(out: &Path) -> Result<(), Failure> {
     fs::create_dir_all(out).map_err(|e| cannot_write(out, &e))
 }
@@ -104,7 +104,7 @@ pub(super) struct OutputFile<'a> {
 
 impl OutputFile<'_> {
     /// Appends bytes.
-    /// Errors: They cannot be written.
+    /// Errors: the bytes cannot be written.
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Failure> {
         self.file
             .write_all(bytes)
@@ -140,7 +140,7 @@ pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
 }
 
 /// Writes a file or standard output by `content`.
-/// Errors: It cannot be written, or those of `content`.
+/// Errors: the file cannot be written; those of `content`.
 pub(super) fn write(
     out: &Path,
     content: impl FnOnce(&mut OutputFile<'_>) -> Result<(), Failure>,
@@ -178,8 +178,8 @@ fn fill(
 }
 
 /// Writes a file of a folder by `content`. What has its name is replaced, and never written
-/// through: who else may write the folder could have put a link there. Errors: It cannot be
-/// written, or those of `content`.
+/// through: who else may write the folder could have put a link there. Errors: the file
+/// cannot be written; those of `content`.
 pub(super) fn replace(
     out: &Path,
     content: impl FnOnce(&mut OutputFile<'_>) -> Result<(), Failure>,

@@ -20,7 +20,7 @@ pub(super) struct Service {
 }
 
 impl Service {
-    /// Errors: Its threads cannot be started.
+    /// Errors: the threads cannot be started.
     pub(super) fn start(config: &Config) -> Result<Self, Failure> {
         let cannot = |e: &dyn std::fmt::Display| {
             Failure::Local(format!("cannot start compute threads: {e}"))

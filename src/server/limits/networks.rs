@@ -10,7 +10,7 @@ pub struct Network(IpNet);
 
 impl Network {
     /// Reads an address, or a network in CIDR notation.
-    /// Errors: It is neither.
+    /// Errors: the text is neither.
     pub fn parse(text: &str) -> Result<Self, String> {
         let network = match text.split_once('/') {
             Some((address, bits)) => address

@@ -1,4 +1,4 @@
-//! Stores: they keep sessions, and the files of their pictures and layers. There is one trait with
+//! Stores: they keep sessions, and the files of their images and layers. There is one trait with
 //! three implementations, and one test suite for all of them.
 //!
 //! | store | an answered change lasts | when the store fails |
@@ -7,10 +7,12 @@
 //! | `file` | beyond a kill or a power cut: it has reached the disk | reads and drags go on, changes are refused |
 //! | `redis` | as long as that server keeps it, for every process that uses it | sessions used in this process go on for one idle period |
 //!
-//! What can be lost: the highest `seq` of a drag, which the file store writes with the next sweep,
-//! and the Redis store with the next pose.
+//! What can be lost: the highest `seq` of the numbered requests of a session. The file store writes
+//! it with the next sweep; the Redis store, if its server did not answer, with the next request of
+//! the session that reaches it. A drag over a socket stores nothing: its poses and its `seq` end
+//! with it.
 //!
-//! A record never changes: new handles, layers or another picture make a new record with a new
+//! A record never changes: new handles, layers or another image make a new record with a new
 //! revision. Only [`Store::touch`] changes the time of the last use and the highest `seq`, both
 //! atomically.
 //!
@@ -83,7 +85,7 @@ pub struct Record {
     pub id: SessionId,
     /// Changes with everything below.
     pub revision: Revision,
-    /// Digest of the picture's file.
+    /// Digest of the image's file.
     pub image: Digest,
     /// The layers, at most [`MAX_LAYERS`].
     ///
@@ -92,7 +94,7 @@ pub struct Record {
     /// Digest of the mask that the session was made with. The layer `region` may have changed
     /// since.
     pub made_with_region: Option<Digest>,
-    /// Upright size of the picture.
+    /// Upright size of the image.
     pub extent: Extent,
     /// Handles at rest and the parameters of the deformation, as the client gave them.
     pub rest: RestSpec,
@@ -100,7 +102,7 @@ pub struct Record {
     pub pose: Option<Pose>,
     /// How folds are handled.
     pub folds: Folds,
-    /// How pictures are made unless a drag says otherwise.
+    /// How images are drawn unless a drag says otherwise.
     pub output: OutputSpec,
     /// When the session was created or replaced; its numbers start again then.
     pub created: SystemTime,
@@ -130,7 +132,7 @@ impl Record {
         made(self) == made(other) && self.rest == other.rest && self.pose == other.pose
     }
 
-    /// The digests of the files that it names: the picture's first, then those of the layers. Two
+    /// The digests of the files that it names: the image's first, then those of the layers. Two
     /// may be the same.
     pub fn files(&self) -> impl Iterator<Item = Digest> + '_ {
         std::iter::once(self.image).chain(self.layers.values().map(|layer| layer.digest))
@@ -266,13 +268,13 @@ pub struct StoreStats {
     pub is_unknown: bool,
 }
 
-/// Sessions and the files of their pictures and layers.
+/// Sessions and the files of their images and layers.
 pub trait Store: Send + Sync + fmt::Debug {
     /// Creates or replaces a session. Its numbers start again, and it lives for another idle
-    /// period. `files`: the picture's, and those of the record's layers.
+    /// period. `files`: the image's, and those of the record's layers.
     fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put>;
 
-    /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the
+    /// Replaces the record of revision `old`, with the same image; numbers go on. `layer`: the
     /// file of the layer that only the new record names, if there is one. Files of layers that only
     /// the old record names are removed. `None`: another revision is there.
     fn revise(
@@ -299,7 +301,7 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// The most memory that [`Store::file`] takes, beyond what the store holds, bytes.
     fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64>;
 
-    /// The file of that digest, of the session's picture or of one of its layers, if the session
+    /// The file of that digest, of the session's image or of one of its layers, if the session
     /// still names it.
     fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes>;
 

@@ -109,7 +109,7 @@ impl<'j> Reader<'j> {
     }
 
     /// A position. `more`: what its text has after the second number.
-    /// Errors: It is out of range.
+    /// Errors: the position is out of range.
     pub(super) fn place(
         &mut self,
         node: &Node<'j, '_>,

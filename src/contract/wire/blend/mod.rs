@@ -24,7 +24,8 @@ pub use shapes::{AlignedShapes, NamedShape};
 pub const MOST_IMAGES: usize = 200;
 /// Most frames of a blend.
 const MOST_FRAMES: usize = 1000;
-/// The largest weight, and the smallest one with its sign: beyond it is nothing but rounding.
+/// The largest weight, and the smallest one with its sign: with larger ones, colours would be made
+/// of rounding errors.
 const MOST_WEIGHT: f64 = 100.0;
 /// How far the sum of weights may be from 1, for each of them.
 const SUM_ROUNDING: f64 = 1e-6;
@@ -293,7 +294,7 @@ impl BlendObject {
         Ok((canvas, target))
     }
 
-    /// The weights of the images' shapes, or colours, in a frame.
+    /// The weights of the images' shapes in a frame.
     pub fn shape_weights(&self, frame: usize) -> Vec<f64> {
         self.images.iter().map(|entry| entry.shape[frame]).collect()
     }

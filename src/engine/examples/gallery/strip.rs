@@ -132,7 +132,7 @@ impl PanelStrip {
 
     /// The strip as a file.
     ///
-    /// Errors: It cannot be written.
+    /// Errors: the file cannot be written.
     pub(crate) fn jpeg(self) -> Result<Vec<u8>, Box<dyn Error>> {
         let size = [self.width, self.size.height()];
         let image = Image::from_rgb8(size[0], size[1], self.samples)?;

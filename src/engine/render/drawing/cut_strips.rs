@@ -11,7 +11,8 @@ use crate::render::snapped_cut::{SnappedCut, SnappedQuad};
 const QUADS_PER_LOOK: usize = 64;
 
 impl Drawing {
-    /// Coordinates of all pixels of a strip, from the second slot of the scratch on.
+    /// Writes the source coordinates of all pixels of a strip into the scratch, from its second row
+    /// on.
     pub(super) fn draw_cut(
         &self,
         cut: &SnappedCut,
@@ -91,7 +92,7 @@ impl Drawing {
     }
 }
 
-/// Moves the pixels of a quad whose texels it draws to those that nothing covers yet.
+/// Copies the pixels of a quad to uncovered ones, where the quad owns the texel that it shows.
 fn take(
     cut: &SnappedCut,
     quad: &SnappedQuad,

@@ -33,7 +33,7 @@ pub(in crate::render) struct CellBlock {
     edges: [[[i32; BLOCK_COLUMNS]; 3]; 4],
 }
 
-/// The turn at b of the way from a by b to c, lattice steps squared; meaningless if the cell is not
+/// The cross product of b - a and c - b, lattice steps squared; meaningless if the cell is not
 /// small.
 #[inline(always)]
 fn turn(ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32) -> i32 {
@@ -65,7 +65,7 @@ pub(super) fn classify(
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
-    // Of the centres of the raster's first row and of the column behind its last.
+    // y of the centres of the raster's first row, and x of its right edge, in steps.
     let (first, right_end) = (
         raster.first as i32 * STEPS_PER_PX + HALF_PX,
         raster.width as i32 * STEPS_PER_PX,

@@ -227,7 +227,7 @@ impl BatchJob {
     }
 
     /// Decides on the canvas of all pictures of an animation.
-    /// Errors: It is too large.
+    /// Errors: the canvas is too large.
     pub(crate) fn decide(&mut self, survey: &Survey) -> Result<(), Problem> {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {

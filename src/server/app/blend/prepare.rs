@@ -88,8 +88,9 @@ pub(super) async fn prepare(
 }
 
 /// Errors: decoding these images and adding them at this size, for one frame, would take too many
-/// operations. The estimate counts, so that every replica answers alike, whatever it has decoded;
-/// later frames wait for their reader.
+/// operations. The estimate alone decides, so that every replica gives the same answer whatever it
+/// has cached. Later frames are not counted: each is made only when the client has read the one
+/// before.
 fn require_work(images: &[SourceImage], extent: Extent, limit: u64) -> Result<(), Problem> {
     let decoded: u64 = images.iter().map(|image| image.extent.pixels()).sum();
     let count = images.len() as u64;

@@ -154,7 +154,8 @@ pub(crate) async fn draw_frame(
         // The right to be the next one to be admitted.
         let turn = frames.take().await;
         // Once per frame, not once per pose: the store knows whether the session still exists and
-        // has changed.
+        // has changed. Without a number: poses of a socket are not stored, so after a restart the
+        // session has the pose of its record.
         let record = app.sessions.touch(id, None).await?.record;
         let session = (client, record, turn);
         match form {

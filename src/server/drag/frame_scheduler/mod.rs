@@ -1,4 +1,4 @@
-//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is
+//! The order of a drag's frames: which pose is drawn next, when, how wide, and when a frame is
 //! sent. Times are arguments and frames are of any type.
 //!
 //! - Of the waiting poses, only the newest is kept.
@@ -7,8 +7,8 @@
 //!   acknowledge, only the newest of several.
 //! - If the window is full, the next frame is started so that it is ready when the acknowledgement
 //!   is expected: earlier, its pose would be old; later, the connection would be idle. If the
-//!   client takes longer than expected and a newer pose waits, an outdated frame is drawn again,
-//!   once.
+//!   client takes longer than expected and a newer pose waits, the ready frame is dropped when the
+//!   acknowledgement comes, and the newer pose is drawn instead.
 //! - If the window is not full, frames are sent at equal distances of the time that a frame takes:
 //!   sent at once, they would form a queue.
 //! - While a full-quality frame is unacknowledged, no more than one frame is: it may be large.

@@ -1,4 +1,4 @@
-//! The routes, one file per family.
+//! The routes: one file for each group of paths.
 
 pub(crate) mod batch;
 pub(crate) mod blend;

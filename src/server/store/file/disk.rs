@@ -3,7 +3,7 @@
 //!
 //! Every change is one transaction in two phases (the data, then the switch to it), each of which
 //! waits for the disk. The allocator's state is stored with it, so that an opening after a crash
-//! does not scan the file. A picture's file is cut into pieces that fill their pages; in one value
+//! does not scan the file. An image's file is cut into pieces that fill their pages; in one value
 //! it would take the next power of two.
 
 use std::fs::{self, File, OpenOptions};

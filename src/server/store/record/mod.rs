@@ -325,7 +325,7 @@ pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
 }
 
 /// Reads a record.
-/// Errors: They are damaged, or another version of the program wrote them.
+/// Errors: the bytes are damaged, or another version of the program wrote them.
 pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     let (sum, json) = bytes
         .split_at_checked(CHECKSUM_BYTES)

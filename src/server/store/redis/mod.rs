@@ -2,7 +2,7 @@
 //!
 //! Every operation is one script (`script.rs` describes the keys), and every change is visible to
 //! all processes at once. Sessions expire by the server's own expiry; its `maxmemory` bounds their
-//! size. Each session has a copy of its picture's file and of those of its layers, transferred on
+//! size. Each session has a copy of its image's file and of those of its layers, transferred on
 //! separate connections (`files.rs`).
 //!
 //! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on
@@ -405,7 +405,7 @@ impl RedisStoreState {
         let found = tokio::task::spawn_blocking(move || Digest::of(&hashed))
             .await
             .map_err(|_| StoreError::Away)?;
-        // A replaced session has another picture's file, and so has one without that layer.
+        // A replaced session has another image's file, and so has one without that layer.
         if found == digest {
             Ok(file)
         } else {

@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | `mlswarp:{NAME}:session` | hash: `record`, `made` (its digest), `revision`, `life` (creation time), `seq`, and per file of a layer
 //! `layer:DIGEST` | one idle period |
-//! | `mlswarp:{NAME}:file` | the picture's file | one idle period |
+//! | `mlswarp:{NAME}:file` | the image's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
 //! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
@@ -19,7 +19,7 @@
 //!
 //! The file of a layer is set before the script runs that decides whether a record will name it.
 //! That script then removes all layers' files that the record does not name, which it would contain
-//! in hexadecimal. The picture, and the mask that the session was made with, are named by fields of
+//! in hexadecimal. The image, and the mask that the session was made with, are named by fields of
 //! their own: they keep no layer's file, which may be the same file.
 
 use std::sync::LazyLock;
@@ -259,7 +259,7 @@ pub(crate) fn put(
             .values()
             .any(|layer| layer.digest == file.digest)
         {
-            // The same file may be picture and layer; each has its own copy, because they may be
+            // The same file may be image and layer; each has its own copy, because they may be
             // replaced one by one.
             set_layer(&mut transaction, record.id, file);
         }
@@ -365,7 +365,7 @@ pub(crate) fn was_deleted(id: SessionId, idle: Duration) -> Call {
     call
 }
 
-/// Bytes of the layer's file of that digest, and of the picture's file; 0 if one is not there.
+/// Bytes of the layer's file of that digest, and of the image's file; 0 if one is not there.
 pub(crate) fn file_bytes(id: SessionId, digest: Digest) -> Pipeline {
     let mut both = redis::pipe();
     both.cmd("HSTRLEN")
