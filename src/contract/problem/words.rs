@@ -55,11 +55,11 @@ pub fn list(names: &[&str]) -> String {
         .join(", ")
 }
 
-/// `a`, `a and b`, `a, b and c`; `last` is the word before the last.
-pub fn series(words: &[&str], last: &str) -> String {
+/// `a`, `a and b`, `a, b and c`; `conjunction`: `and` or `or`.
+pub fn series(words: &[&str], conjunction: &str) -> String {
     match words.split_last() {
         Some((end, [])) => (*end).to_owned(),
-        Some((end, others)) => format!("{} {last} {end}", others.join(", ")),
+        Some((end, others)) => format!("{} {conjunction} {end}", others.join(", ")),
         None => String::new(),
     }
 }
@@ -71,7 +71,7 @@ pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
         .into_iter()
         .map(|other| (similarity(name, other), other))
         .filter(|(score, _)| *score >= MIN_SIMILARITY);
-    // Of equally similar names the first.
+    // Of equally similar names the first wins.
     scored
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
         .map(|(_, other)| other)

@@ -154,7 +154,7 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
         }
         (true, false) if is_any(&POSED) => "did you mean `q`?",
         (true, false) if name == "p" || is_any(&[&REST[..], &BOTH].concat()) => OF_SESSION,
-        // These belong to a request and are not replaced there.
+        // `NOT_KEPT` belong to each request, so no session has them.
         (true, false) if !NOT_KEPT.contains(&name) && WARP.contains(&name) => {
             return Some(format!(
                 "the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"
@@ -171,7 +171,7 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
 }
 
 fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
-    // Of a warp object the type could be anything.
+    // Beside `quality`, a type is that of the file; in a warp object it could be anything.
     let is_format = name == "type" && known.contains(&"quality");
     let name = if is_format {
         "format"

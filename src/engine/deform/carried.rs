@@ -35,8 +35,9 @@ impl RestDeformation {
         }
     }
 
-    /// The numbers of the columns, carried to vertices of which each belongs to a pixel, or to that
-    /// of its position. In parallel on the current pool; `None` when cancelled.
+    /// The numbers of the columns, carried to vertices. `vertex(k)`: where one is, and the pixel
+    /// that it belongs to; without one, that of its position. In parallel on the current pool;
+    /// `None` when cancelled.
     pub(crate) fn carried(
         &self,
         of_columns: &[f64],

@@ -84,7 +84,7 @@ const fn shares() -> [f32; CELL_POSITIONS] {
     shares
 }
 
-/// A place along one axis of the grid: the vertices used for a cell.
+/// The vertices along one axis of the grid that are used for a cell.
 #[derive(Clone, Copy, Debug)]
 struct AxisStencil {
     /// The first of the vertices.
@@ -256,16 +256,17 @@ impl<'a> Interpolated<'a> {
             largest(rows.iter().flat_map(|row| &row.0[2..6])),
             largest(rows.iter().flat_map(|row| &row.1[..4])),
         );
-        // Sixth differences estimate the error of a quintic, fourth ones that of a cubic
-        // (mathematics section 12, step 2). If the former are not much smaller, the series does not
-        // converge here.
-        // Both columns, one behind the other.
+        // The columns at both sides of the cell, two numbers of each in turn, so that one pass
+        // takes the differences of both.
         let mut columns = [0.0; 32];
         for (column, line) in columns.chunks_exact_mut(4).zip(self.lines) {
             column.copy_from_slice(line[left..left + 2].as_flattened());
         }
         let columns = differences::<4, 32>(&columns);
         let (fourth_y, sixth_y) = (largest(&columns.0[4..12]), largest(&columns.1[..8]));
+        // Sixth differences estimate the error of a quintic, fourth ones that of a cubic
+        // (mathematics section 12, step 2). If the former are not much smaller, the series does not
+        // converge here.
         let (cubic, quintic) = (
             OF_FOURTH * (fourth_x + fourth_y),
             OF_SIXTH[MIDDLE_POSITION] * (sixth_x + sixth_y),

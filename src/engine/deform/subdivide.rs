@@ -494,13 +494,17 @@ impl PoseMeasurement<'_> {
         };
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
+                // Measured at the vertices of the next halving.
                 Ordering::Less => self.between(cell, known.errors[usize::from(level)]),
+                // Predicted from the last measurement where f is smooth: in resolved cells, and in
+                // the smallest ones, which are not measured again.
                 _ if level > 0
                     && self.is_smooth
                     && (level == self.deepest || is_resolved(level)) =>
                 {
                     known.errors[usize::from(level) - 1] * HALVED_ERROR_SHARE
                 }
+                // Without smoothness a halving may not help, so the last error counts in full.
                 _ if level > 0 && level == self.deepest => known.errors[usize::from(level) - 1],
                 _ => f32::INFINITY,
             };

@@ -171,7 +171,8 @@ impl Placement {
         ]
         .map(|(place, length, scale)| {
             let exact = f64::from(place) * scale;
-            // A product of whole numbers and a ratio of whole numbers.
+            // The scale is a ratio of whole numbers, so a product this near to a whole number is
+            // one, but for rounding.
             let exact = if (exact - exact.round()).abs() < WHOLE_PIXEL_ERROR {
                 exact.round()
             } else {
@@ -179,7 +180,8 @@ impl Placement {
             };
             #[expect(clippy::cast_possible_truncation, reason = "a place times a side")]
             let first = exact.floor() as i64;
-            // Windows are whole pixels apart from the canvas.
+            // A window begins a whole number of pixels from the canvas, so both lie off the whole
+            // pixels of the plane by the same part of one.
             #[expect(clippy::cast_precision_loss, reason = "far below 2^52")]
             let origin =
                 move |window: &Stretch| (window.origin as f64 + (exact - exact.floor())) / scale;

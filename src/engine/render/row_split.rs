@@ -35,8 +35,9 @@ pub(super) struct RowSplit {
     bent: Vec<u32>,
     /// Rows that are not split: drawn entirely cell by cell.
     unsplit: u32,
-    /// The columns with folded cells, and their extent in each row, lattice x.
+    /// The columns with folded cells.
     columns: Vec<usize>,
+    /// The extent of each of these columns in each row, lattice x.
     across: Vec<[Range<i32>; 32]>,
 }
 
@@ -78,8 +79,9 @@ impl RowSplit {
         self.unsplit = unsplit;
         if unsplit != 0 {
             self.per_cell[..cells].fill(unsplit);
-            for (i, known) in (0..cells).step_by(BLOCK_COLUMNS).zip(&mut self.blocks) {
-                *known = u8::MAX >> (BLOCK_COLUMNS - BLOCK_COLUMNS.min(cells - i));
+            for (i, block) in (0..cells).step_by(BLOCK_COLUMNS).zip(&mut self.blocks) {
+                // The last block may have fewer columns.
+                *block = u8::MAX >> (BLOCK_COLUMNS - BLOCK_COLUMNS.min(cells - i));
             }
         }
         let mixed = mixed & !unsplit;

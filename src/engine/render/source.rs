@@ -1,4 +1,4 @@
-//! A source picture and its derived copies, each made on first use: box-reduced pictures for small
+//! A source image and its derived copies, each made on first use: box-reduced images for small
 //! targets, and 8-bit texels packed for the bilinear kernels. `[height][width]` grows by one column
 //! and one row that repeat the last ones, so that a kernel may load a pair of texels at any pixel.
 //! Each sample is stored minus 128, as the signed operand of a byte product.
@@ -10,7 +10,7 @@ use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 /// A sample of 0 as it is stored in [`Packed`].
 pub(super) const STORED_ZERO: u32 = 0x8080_8080;
 
-/// A source picture and the copies that the samplers read (packed, reduced), each made on first
+/// A source image and the copies that the samplers read (packed, reduced), each made on first
 /// use.
 #[derive(Debug)]
 pub struct Source {
@@ -25,7 +25,7 @@ pub struct Source {
 const NEVER: &dyn Fn() -> bool = &|| false;
 
 impl Source {
-    /// Wraps a decoded picture.
+    /// Wraps a decoded image.
     #[must_use]
     pub fn new(pixmap: Pixmap) -> Self {
         let reduced = (0..deepest(pixmap.extent()))
@@ -39,7 +39,7 @@ impl Source {
         }
     }
 
-    /// The picture as decoded.
+    /// The image as decoded.
     #[must_use]
     pub const fn pixmap(&self) -> &Pixmap {
         &self.pixmap
@@ -60,7 +60,7 @@ impl Source {
             .fold(0, u64::saturating_add)
     }
 
-    /// Number of halvings for a target: the reduced picture is not smaller than the target along
+    /// Number of halvings for a target: the reduced image is not smaller than the target along
     /// either axis.
     pub(super) fn level_for(&self, target: Extent) -> u32 {
         let extent = self.pixmap.extent();
@@ -70,12 +70,12 @@ impl Source {
         (1..=deepest(extent)).take_while(fits).last().unwrap_or(0)
     }
 
-    /// The picture reduced by `2^k`, as [`Source::make_copies`] has made it.
+    /// The image reduced by `2^k`, as [`Source::make_copies`] has made it.
     pub(super) fn level(&self, k: u32) -> &Self {
         self.make_level(k, NEVER).expect("nothing gives it up")
     }
 
-    /// Reduces the picture by `2^k`, once; `None` when cancelled.
+    /// Reduces the image by `2^k`, once; `None` when cancelled.
     fn make_level(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<&Self> {
         let Some(cell) = (k as usize)
             .checked_sub(1)
@@ -104,7 +104,8 @@ impl Source {
         if let Some(copy) = cell.get() {
             return Some(copy);
         }
-        // A panic leaves nothing behind.
+        // A panic while a copy is made leaves no part of it behind, so the lock is as good as
+        // before.
         let _making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
         match cell.get() {
             Some(copy) => Some(copy),
@@ -112,7 +113,7 @@ impl Source {
         }
     }
 
-    /// Whether a drawing at this size of the whole picture has to make copies first.
+    /// Whether a drawing at this size of the whole image has to make copies first.
     pub(super) fn lacks_copies(&self, size: Extent, is_packed: bool) -> bool {
         let reduced = match self.level_for(size) as usize {
             0 => Some(self),
@@ -126,7 +127,7 @@ impl Source {
         reduced.is_none_or(|reduced| is_packed && reduced.packed.get().is_none())
     }
 
-    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number
+    /// Makes the copies that a drawing at this size of the whole image reads. Returns the number
     /// of halvings; `None` when cancelled, which is checked for each row.
     pub(super) fn make_copies(
         &self,
@@ -155,7 +156,7 @@ impl Source {
     }
 }
 
-/// Number of halvings until a picture is one pixel.
+/// Number of halvings until a image is one pixel.
 const fn deepest(extent: Extent) -> u32 {
     let longest = if extent.width() > extent.height() {
         extent.width()

@@ -15,7 +15,7 @@ use crate::topology::{Mask, Membership};
 pub struct RestMask {
     /// The mask.
     pub mask: Arc<Mask>,
-    /// Of everything that it was made from.
+    /// The digest of everything that the mask was made from.
     pub digest: Digest,
 }
 

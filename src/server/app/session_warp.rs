@@ -28,18 +28,18 @@ use crate::wire::formats::Formats;
 use crate::wire::{DragObject, MeshShape, Pose, Reserved};
 
 /// Columns up to which aligning handles is faster than waking a compute thread.
-pub(crate) const MOST_POSED_HERE: u64 = 64;
+pub(crate) const MAX_INLINE_COLUMNS: u64 = 64;
 /// Size of a text up to which parsing it is faster than waking a compute thread, bytes.
-pub(crate) const MAX_INLINE: usize = 4 << 10;
+pub(crate) const MAX_INLINE_BYTES: usize = 4 << 10;
 
-/// What a drag is for.
+/// What a step of a drag is answered with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum DragRoute {
     Picture,
     Mesh,
 }
 
-/// Pixels of a picture up to which its drawing counts as a drag. A larger one takes longer than a
+/// Pixels of an image up to which its drawing counts as a drag. A larger one takes longer than a
 /// person's hand waits, and would delay the drags of others: it waits with the uploads.
 const MOST_DRAG_PIXELS: u64 = 8_000_000;
 
@@ -57,7 +57,7 @@ impl AdmittedPlan {
 }
 
 /// Reads the body of a drag: here if it is short, otherwise on a compute thread. `record`: that
-/// of the session, whose number of handles is not exceeded. Errors: A wrong object, or too
+/// of the session, whose number of handles is not exceeded. Errors: a wrong object, or too
 /// little capacity.
 pub(crate) async fn read_drag(
     app: &App,
@@ -71,7 +71,7 @@ pub(crate) async fn read_drag(
         app.admission
             .reserving_pose(MemoryClass::Frame, client, record),
     );
-    let is_short = json.len() <= MAX_INLINE;
+    let is_short = json.len() <= MAX_INLINE_BYTES;
     let parse = move || match route {
         DragRoute::Picture => Reserved::<DragObject, _>::parse(&json, at_rest, reserve),
         DragRoute::Mesh => Reserved::<DragObject, _>::parse_posed(&json, at_rest, reserve),
@@ -85,7 +85,7 @@ pub(crate) async fn read_drag(
 }
 
 /// Draws one step of a drag.
-/// Errors: Unknown session, superseded, wrong `q`, or too little capacity.
+/// Errors: an unknown session, a superseded request, a wrong `q`, or too little capacity.
 pub(crate) async fn of_session(
     app: &App,
     client: Client,
@@ -150,7 +150,7 @@ pub(crate) async fn posed(
     let is_as_given = drag.pose.q.is_some()
         && record.rest.align == Align::None
         && strength.to_bits() == 1.0_f64.to_bits();
-    let is_here = is_as_given || columns(record) <= MOST_POSED_HERE;
+    let is_inline = is_as_given || columns(record) <= MAX_INLINE_COLUMNS;
     let record = Arc::clone(record);
     let posed = move || {
         let pose = drag.try_map(|drag| drag.pose.onto(record.pose.as_ref()))?;
@@ -158,15 +158,15 @@ pub(crate) async fn posed(
             record.rest.posed(q, strength, record.extent).0
         })))
     };
-    if is_here {
+    if is_inline {
         posed()
     } else {
         ticket.run(move |_| posed()).await?
     }
 }
 
-/// What is drawn of a session, and its plan. If the session was replaced while this waited, its
-/// old file is gone: then those of the current session.
+/// What is drawn of a session, and its plan. If the session was replaced while this waited, its old
+/// file is gone, and the current session takes its place.
 pub(crate) async fn admit_newest(
     app: &App,
     client: Client,
@@ -182,8 +182,8 @@ pub(crate) async fn admit_newest(
     Err(StoreError::Contended.into())
 }
 
-/// The setup of a session. If the session was replaced while the files of a mask were read: that of
-/// the current session. Errors: Unknown session, or too little capacity.
+/// The setup of a session, or that of the current one if the session was replaced while the files
+/// of a mask were read. Errors: Unknown session, or too little capacity.
 pub(crate) async fn newest_setup(
     app: &App,
     client: Client,

@@ -220,7 +220,7 @@ impl<'a> BlendInputs<'a> {
             json: json.to_string().into_bytes(),
             is_option: true,
         });
-        // What one file replaces of another has been said.
+        // The warnings about what one file replaces of another have been written before.
         let merged = Merged::of(&self.sources);
         self.merged = merged.map_err(|(_, problem)| Failure::from(problem))?;
         Ok(())

@@ -41,9 +41,9 @@ const STANDING_QUEUE: Length = (0.5, 1.5, 0.003);
 const LONG_QUEUE: Length = (2.0, 4.0, 0.03);
 /// No step up is taken if a frame takes longer than this to send, seconds: the step may make a
 /// frame that much older.
-const MAX_TRIAL: f64 = 0.3;
+const MAX_TRIAL_SECONDS: f64 = 0.3;
 /// More than one step is taken if the frames take at most this time to send, seconds.
-const MAX_STEPS: f64 = 0.15;
+const MAX_MULTISTEP_SECONDS: f64 = 0.15;
 /// Part of a frame that may wait after a reduction by more than one step: a window of one less
 /// would leave the connection idle.
 const EXCESS_FRAME_SHARE: f64 = 0.25;
@@ -296,7 +296,7 @@ impl SendWindow {
             .clamp(1.0, MAX_WINDOW as f64);
         let frame = round.link.frame;
         if self.frames as f64 >= most
-            || frame >= MAX_TRIAL
+            || frame >= MAX_TRIAL_SECONDS
             || self.not_before.is_some_and(|time| round.now < time)
         {
             return None;
@@ -304,7 +304,7 @@ impl SendWindow {
         // Doubling, as TCP's slow start, until a queue is seen for the first time.
         let steps = if self.is_start { self.frames } else { 1 };
         let is_short = |steps: &usize| {
-            *steps as f64 * frame <= MAX_STEPS && (self.frames + steps) as f64 <= most
+            *steps as f64 * frame <= MAX_MULTISTEP_SECONDS && (self.frames + steps) as f64 <= most
         };
         let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
         // A queue has built up a round trip later.

@@ -5,7 +5,7 @@ use mlswarp::geometry::Point;
 
 use super::Format;
 use super::bad::Bad;
-use super::item::{Item, Items, Turn};
+use super::item::{Item, ItemAction, Items};
 use crate::problem::words::quote;
 
 /// The largest coordinate of the contract, px.
@@ -178,13 +178,13 @@ impl Collector {
     /// those that were collected before may be forgotten. Errors: A second item with the wanted
     /// name.
     pub(super) fn item(&mut self, at: usize, names: &[&str]) -> Result<bool, Bad> {
-        let turn = self.items.next(at, names)?;
-        if turn == Turn::ReadInstead {
+        let action = self.items.next(at, names)?;
+        if action == ItemAction::ReadInstead {
             (self.columns, self.unmatched) = (0, Unmatched::default());
             (self.p, self.q, self.at, self.names) =
                 (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         }
-        Ok(turn != Turn::Skip)
+        Ok(action != ItemAction::Skip)
     }
 
     /// Counts the columns of a handle with this number of positions, before memory is allocated for

@@ -67,10 +67,11 @@ pub(super) struct Items {
 
 /// What is to be done with an item.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Turn {
+pub(super) enum ItemAction {
     Skip,
     Read,
-    /// It has the name that an earlier one has as its index: forget that.
+    /// Its name is wanted, and an earlier item was read because its index is written like that
+    /// name: read this one, and forget the earlier one.
     ReadInstead,
 }
 
@@ -89,7 +90,7 @@ impl Items {
 
     /// The next item has these names.
     /// Errors: A second item with the wanted name.
-    pub(super) fn next(&mut self, at: usize, names: &[&str]) -> Result<Turn, Bad> {
+    pub(super) fn next(&mut self, at: usize, names: &[&str]) -> Result<ItemAction, Bad> {
         let index = self.count;
         self.count += 1;
         if index == 1 {
@@ -127,16 +128,16 @@ impl Items {
             (true, _, before) => {
                 self.found = Some(true);
                 Ok(if before.is_some() {
-                    Turn::ReadInstead
+                    ItemAction::ReadInstead
                 } else {
-                    Turn::Read
+                    ItemAction::Read
                 })
             }
             (false, true, None) => {
                 self.found = Some(false);
-                Ok(Turn::Read)
+                Ok(ItemAction::Read)
             }
-            _ => Ok(Turn::Skip),
+            _ => Ok(ItemAction::Skip),
         }
     }
 
@@ -145,7 +146,7 @@ impl Items {
         let bytes: usize = names.iter().map(|name| name.len() + 1).sum();
         let has_room = self.named.len() < MOST_NAMED
             && self.named_bytes.saturating_add(bytes) <= MOST_NAMED_BYTES;
-        // Their order says which they are: after a gap nothing follows.
+        // The order of the names says whose they are, so none are kept after a gap.
         if has_room && self.named.len() + 1 == self.count {
             let names = names.iter().filter(|name| !name.is_empty());
             self.named
@@ -168,7 +169,7 @@ impl Items {
     /// `what`: what the items are; `end`: where the file ends.
     /// Errors: Several items and none was chosen, or the chosen one is not there.
     pub(super) fn check(&self, what: &str, end: usize) -> Result<(), Bad> {
-        // A format without items is one.
+        // A file of a format without items counts as one item.
         let is_only = self.count == 0 && matches!(&self.wanted, Some(Item::Index(0)));
         let is_only = is_only || self.count == 0 && self.wanted == Some(Item::Text("0".to_owned()));
         match &self.wanted {
@@ -207,8 +208,8 @@ pub(super) fn name_in(node: &Node<'_, '_>) -> Result<String, Problem> {
     }
 }
 
-/// What an item is called in a file of several images: by the file of its image, with its folders
-/// and without, and by that and what tells it from the others of the image.
+/// The names of an item in a file of several images: the file of its image, with its folders and
+/// without, and the latter with what tells the item from the others of the image.
 #[derive(Debug)]
 pub(super) struct ItemNames([String; 3]);
 

@@ -92,12 +92,12 @@ impl<'a> File<'a> {
     }
 
     /// Bytes of an offset.
-    const fn wide(self) -> usize {
+    const fn offset_bytes(self) -> usize {
         if self.big { 8 } else { 4 }
     }
 
     fn offset_at(self, at: usize) -> Result<usize, CodecError> {
-        let end = at.checked_add(self.wide()).ok_or_else(cut_off)?;
+        let end = at.checked_add(self.offset_bytes()).ok_or_else(cut_off)?;
         let bytes = self.bytes.get(at..end).ok_or_else(cut_off)?;
         usize::try_from(self.number(bytes)).map_err(|_| cut_off())
     }
@@ -226,7 +226,7 @@ impl<'a> Entry<'a> {
         let Some(size) = size_of_kind(kind) else {
             return Ok(None);
         };
-        let (count, value) = entry[4..].split_at(file.wide());
+        let (count, value) = entry[4..].split_at(file.offset_bytes());
         let count = usize::try_from(file.number(count)).map_err(|_| cut_off())?;
         let length = count.checked_mul(size).ok_or_else(cut_off)?;
         if length <= value.len() {

@@ -1,13 +1,13 @@
-//! CCITT group 4 (ITU-T T.6) as rows of bits, black ones. The code tables are those of the `fax`
-//! crate; the lines are decoded here, so that hostile data can neither make one longer than it is
-//! wide nor go back in it. Work and memory are in proportion to the picture.
+//! CCITT group 4 (ITU-T T.6) as rows of bits, of which black pixels are 1. The code tables are
+//! those of the `fax` crate; the lines are decoded here, so that hostile data can neither make one
+//! longer than it is wide nor go back in it. Work and memory are in proportion to the image.
 
 use std::io::{self, Read};
 
 use fax::ByteReader;
 use fax::maps::{Mode, black, mode, white};
 
-/// Codes of a line beyond two for each pixel.
+/// A line may have this number of codes beyond two for each pixel.
 const FREE_CODES: usize = 16;
 /// From this length on, a run is followed by another code.
 const MAKE_UP: u32 = 64;
@@ -64,14 +64,15 @@ impl<R: Iterator<Item = io::Result<u8>>> Group4<R> {
     /// The changes of the next line.
     fn line(&mut self) -> io::Result<Vec<u32>> {
         let mut changes: Vec<u32> = Vec::new();
-        // The position in the line; None before its first pixel. The next change of the line above.
+        // `at`: the position in the line, `None` before its first pixel; `above`: the index of the
+        // next change in the line above.
         let (mut at, mut is_black, mut above) = (None, false, 0_usize);
         for _ in 0..2 * self.width as usize + FREE_CODES {
             let begin = at.unwrap_or(0);
             if at.is_some() && begin >= self.width {
                 return Ok(changes);
             }
-            // The first change to the other colour behind the position.
+            // The first change to the other colour after the position.
             while above > 0
                 && self
                     .reference

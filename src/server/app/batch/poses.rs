@@ -46,12 +46,14 @@ impl Rest {
         reserve: ReserveMemory<'_>,
     ) -> Result<Held<Pose>, Problem> {
         let (p, session) = (&self.spec().p, self.record.pose.as_ref());
-        // Those at rest or of the session may take their place, and a jitter makes a copy.
+        // Where handles are not given, those of the session or those at rest take their place, and
+        // a jitter makes a copy.
         let others = handles_bytes(p).max(session.map_or(0, |pose| handles_bytes(&pose.q)));
         let given = poses.requested_frames(frame, |bytes| reserve(2 * bytes.max(others)))?;
         let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
         let given = given.try_map(|mut given| {
-            // The empty `q` of a session without handles.
+            // In a session without handles, a `q` without handles says nothing of the jittered
+            // grid.
             given.q = given.q.filter(|q| self.grid.is_none() || !q.is_empty());
             if given.q.is_none() && session.is_none() {
                 given.q = is_at_rest.then(|| p.clone());

@@ -17,7 +17,7 @@ use crate::app::draw::{DrawJob, Drawn, Piece};
 use crate::app::mesh::{MeshForm, PoseResponse, admit_mesh, compact_lattice, pose_mesh};
 use crate::app::parts::plans::columns;
 use crate::app::reading::Held;
-use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, admit_newest};
+use crate::app::session_warp::{AdmittedPlan, MAX_INLINE_BYTES, MAX_INLINE_COLUMNS, admit_newest};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
@@ -308,8 +308,9 @@ async fn read_handles(
     q: Arc<UnreadHandles>,
     record: &Arc<Record>,
 ) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
-    let is_short = q.byte_count() <= MAX_INLINE
-        && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
+    let is_short = q.byte_count() <= MAX_INLINE_BYTES
+        && (q.is_given() && record.rest.align == Align::None
+            || columns(record) <= MAX_INLINE_COLUMNS);
     let (record, reserve) = (
         Arc::clone(record),
         app.admission.reserving(MemoryClass::Frame, client),

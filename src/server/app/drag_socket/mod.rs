@@ -17,7 +17,7 @@ use bytes::Bytes;
 use super::App;
 use super::mesh::{MeshForm, admit_mesh};
 use super::parts::plans::columns;
-use super::session_warp::{MAX_INLINE, newest_setup};
+use super::session_warp::{MAX_INLINE_BYTES, newest_setup};
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, QueuedPose, Step};
 use crate::drag::picture_ladder::PictureLadder;
@@ -221,7 +221,7 @@ impl Drag {
     /// A text message arrived. A long one is read on a compute thread: until [`Drag::is_reading`]
     /// is false, no other may arrive.
     pub fn on_text(&mut self, text: Bytes, now: Instant) {
-        if text.len() <= MAX_INLINE {
+        if text.len() <= MAX_INLINE_BYTES {
             return self.on_message(parse(&text), now);
         }
         let (app, key, frames) = (

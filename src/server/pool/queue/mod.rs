@@ -223,13 +223,14 @@ impl<W> FairQueue<W> {
                 .is_some_and(|usage| usage.running > 0)
         };
         let kept = usize::from(is_visitor && holds_one());
+        // The spare permit goes to clients that hold none: with all workers in long jobs of one
+        // client, another one still begins at once.
         running + kept < self.permits || (running < self.permits + SPARE_PERMITS && has_none())
     }
 
-    /// The client with the least is next: recently used worker time, running requests. Of its
-    /// visitors, in the same way.
-    // The spare permit goes to clients that hold none: with all workers in long jobs of one client,
-    // another one still begins at once.
+    /// Where a client or visitor stands: next is the one that has used the least worker time
+    /// recently, and of equals the one with the fewest running requests. Clients are compared
+    /// first, and then the visitors of one.
     fn rank(&self, tenant: Tenant, now: Instant) -> Rank {
         let figures = |of: &HashMap<Tenant, Usage>, tenant: Tenant| {
             of.get(&tenant)

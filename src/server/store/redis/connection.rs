@@ -173,7 +173,8 @@ impl RedisConnection {
         let (generation, connection) = match open {
             Some(open) => open,
             None => {
-                // A task: it goes on when the request is dropped.
+                // In a task of its own, which goes on when this request is dropped: others wait for
+                // the same connection.
                 let this = self.clone();
                 tokio::spawn(Scope::current().wrap(async move { this.connect().await }))
                     .await

@@ -7,7 +7,7 @@
 //!
 //! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on
 //! for one idle period, with numbers that rise in this process alone; the server learns the highest
-//! one from the next pose. Everything else is refused.
+//! one from the next request of the session that reaches it. Everything else is refused.
 
 mod address;
 mod connection;
@@ -196,7 +196,7 @@ impl RedisStoreState {
             {
                 return self.same(old, &seq);
             }
-            // The server has just answered.
+            // The server has just answered, so a pause of the connections for files is over.
             self.files_endpoint.health().paused_until = None;
             let replaces = Replaces {
                 revision,
@@ -230,7 +230,7 @@ impl RedisStoreState {
         transaction: &Pipeline,
     ) -> Result<(i64, String), StoreError> {
         let len: usize = files.iter().map(|file| file.bytes.len()).sum();
-        // At 4 MB a second.
+        // The time to send a file: 4 MB a second.
         let limit = ANSWER_TIMEOUT + Duration::from_micros(len as u64 / 4);
         let ask = |mut connection| async move { transaction.query_async(&mut connection).await };
         let (reply,): ((i64, String),) = self.files.ask(limit, |_| len, ask).await?;
@@ -287,6 +287,8 @@ impl RedisStoreState {
             .await
         {
             Err(StoreError::Away | StoreError::NoRoom) => {
+                // The session goes on with what this process knows of it. Its numbers rise here
+                // alone, and the script of the next touch takes the highest one along.
                 let mut progress = cached.progress();
                 if let Lookup::Touch(seq) = lookup {
                     progress.seq = progress.seq.max(seq);
@@ -334,6 +336,8 @@ impl RedisStoreState {
         let record = self
             .readable(id, &bytes)?
             .ok_or(StoreError::NoSuchSession)?;
+        // A number of this process counts only within the same life of the session: one that was
+        // made again begins anew.
         let here = cached
             .filter(|cached| cached.record.created == record.created)
             .and_then(|cached| cached.progress().seq);

@@ -3,16 +3,17 @@
 //!
 //! | key | content | expires after |
 //! |---|---|---|
-//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (its digest), `revision`, `life` (creation time), `seq`, and per file of a layer
-//! `layer:DIGEST` | one idle period |
+//! | `mlswarp:{NAME}:session` | hash: `record`, `made`, `revision`, `life`, `seq`, `layer:DIGEST` | one idle period |
 //! | `mlswarp:{NAME}:file` | the image's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
 //! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
 //!
-//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they
-//! compare as strings. A full server refuses the first write of a script if it may take memory;
-//! `touch` therefore begins with `PEXPIRE`, which takes none.
+//! NAME is owner and session in hexadecimal. `made` is the digest of what the record was made from,
+//! `life` the time at which the session was created, `layer:DIGEST` the file of a layer, one for
+//! each. Sequence numbers have twenty digits, so that they compare as strings. A full server
+//! refuses the first write of a script if it may take memory; `touch` therefore begins with
+//! `PEXPIRE`, which takes none.
 //!
 //! Scripts are called by their digest (`EVALSHA`) and sent once. Those that follow a file are sent
 //! in full each time: inside `MULTI` a missing script would fail after the file has been stored.
@@ -35,9 +36,13 @@ use crate::store::{NamedFile, Record, StoreError};
 
 /// The first value of each script's reply.
 pub(crate) mod status {
+    /// There is no such session.
     pub(crate) const ABSENT: i64 = 0;
+    /// There was one, and its tombstone is there.
     pub(crate) const EXPIRED: i64 = 1;
+    /// The session is there, as it is asked for.
     pub(crate) const FOUND: i64 = 2;
+    /// Another revision is there, or a session that was made from something else.
     pub(crate) const OTHER: i64 = 3;
 }
 
@@ -159,7 +164,7 @@ return 2",
     )
 });
 
-/// KEYS[4]: as there.
+/// KEYS[4]: as for `DELETE`.
 static WAS_DELETED: LazyLock<Script> = LazyLock::new(|| {
     Script::new(
         r"

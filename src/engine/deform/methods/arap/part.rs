@@ -14,7 +14,8 @@ use crate::geometry::Vec2;
 
 /// Triangles of a quad that are summed at once.
 const TRIANGLES: usize = 4;
-/// Compliances of more anchors are solved for, instead of kept.
+/// How forces on more anchors than these move the vertices is solved for in each pose, instead of
+/// kept.
 pub(super) const KEPT_ANCHORS: usize = 32;
 /// Anchors that determine each other to this share of the mean are held less strictly, by this
 /// share of it.
@@ -26,10 +27,10 @@ const UNDEFINED_SHARE: f64 = 1e-12;
 /// The triangles of a quad at rest.
 #[derive(Clone, Debug)]
 pub(super) struct QuadShape {
-    /// Of each corner from the centre of each triangle, px, if it belongs to it, else 0.
+    /// Where each corner is from the centre of each triangle, px, if it belongs to that, else 0.
     x: [[f64; TRIANGLES]; 4],
     y: [[f64; TRIANGLES]; 4],
-    /// One by the sum of the squares of these for each triangle, or 0 without a triangle.
+    /// 1 divided by the sum of the squares of these, for each triangle; 0 without a triangle.
     per_size: [f64; TRIANGLES],
     /// The energies of the two steps.
     similar: [[Vec2; 4]; 4],
@@ -40,7 +41,7 @@ impl QuadShape {
     /// All triangles of its corners: no direction is preferred.
     pub(super) const ALL: [[usize; 3]; 4] = [[0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3]];
 
-    /// Shapes: at most four triangles; their indices are those of `corners`.
+    /// `triangles`: at most four, of indices of `corners`.
     pub(super) fn new(corners: [Vec2; 4], triangles: &[[usize; 3]]) -> Self {
         let mut shape = Self {
             x: [[0.0; TRIANGLES]; 4],
@@ -330,7 +331,7 @@ pub(super) struct PartCost {
 }
 
 impl PartCost {
-    /// Both.
+    /// The sum of both.
     pub(super) const fn with(self, other: Self) -> Self {
         Self {
             bytes: self.bytes + other.bytes,
@@ -349,7 +350,7 @@ pub(super) struct OrderedPart {
 }
 
 impl OrderedPart {
-    /// The mesh is connected. `None` when cancelled.
+    /// Orders the vertices of a connected mesh. `None` when cancelled.
     pub(super) fn new(
         mesh: QuadMesh,
         anchors: Vec<QuadAnchor>,
@@ -382,7 +383,7 @@ impl OrderedPart {
                 + both * (values + kept + 2 * anchors * anchors)
                 + (waiting * size_of::<Vec2>() as u64)
                 + 64 * vertices,
-            // A complex product is four.
+            // A complex product is four multiplications, and the second step has real numbers.
             multiplications: 5 * multiplications
                 + 10 * anchors * values
                 + 5 * anchors * anchors * anchors / 3,

@@ -23,17 +23,17 @@ use crate::deform::{DeformError, Handle, Handles, IsCancelled, Parameter, Warnin
 use crate::geometry::{Point, Vec2};
 use crate::level::SimdLevel;
 
-/// A spline of more sites has no table: a drag of this many frames takes about as long as its
-/// table alone.
+/// A spline of more sites has no table: computing one takes about as long as this many frames of a
+/// drag without it.
 const MOST_SITES: usize = 64;
-/// [`MOST_SITES`] in the sentence.
+/// Why a spline has no table, with the number of [`MOST_SITES`].
 const WITHOUT_TABLE: &str =
     "a thin-plate spline of more than 64 points is evaluated without a table of coefficients";
-/// Handles of a spline: its system takes about a second, and 16 MB.
+/// Most handles of a spline: its system then takes about a second, and 16 MB.
 const MOST_HANDLES: u64 = 2000;
 /// Multiplications of a linear system that an operation takes.
 const MULTIPLICATIONS_PER_OPERATION: u64 = 16;
-/// In keys of plans.
+/// What the spline is known by in keys of plans.
 const PLAN_IDENTITY: u64 = 3;
 
 const SMOOTHING: &str = "smoothing";
@@ -172,7 +172,8 @@ impl PointMap for ThinPlateSpline {
     }
 
     fn operations(&self, columns: u64) -> u64 {
-        // Coefficients take the square of the sites.
+        // The coefficients of a position are a solution of the factorised system: a multiplication
+        // for each pair of sites.
         if self.without_table().is_none() {
             columns * columns / MULTIPLICATIONS_PER_OPERATION
         } else {
