@@ -3,10 +3,7 @@
 
 const KEY = "mlswarp";
 const STEPS = 50;
-/**
- * Number of stored files: those of the last pictures, each with its annotations, besides the ones
- * that the undo history needs.
- */
+/** Number of stored files: those of four pictures (pictures.js), each with its annotations. */
 const FILES = 8;
 
 /**
@@ -141,8 +138,8 @@ function settled(request) {
 }
 
 /**
- * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those
- * with a key in `needed`. Stores bytes: private windows of WebKit cannot store a Blob.
+ * Stores a file; returns its key, or null if the browser refuses. Removes the oldest files beyond
+ * `FILES`, except those with a key in `needed`. Stores bytes: private windows of WebKit cannot store a Blob.
  * @param {Blob} blob
  * @param {string} name
  * @param {IDBValidKey[]} needed
@@ -155,8 +152,8 @@ export async function keepFile(blob, name, needed) {
     const files = opened.transaction("files", "readwrite").objectStore("files");
     const key = await settled(files.add({ bytes, type: blob.type, name }));
     const keys = await settled(files.getAllKeys());
-    for (const old of keys.slice(0, -FILES).filter((old) => !needed.includes(old)))
-      files.delete(old);
+    const spare = keys.filter((old) => !needed.includes(old));
+    for (const old of spare.slice(0, Math.max(0, keys.length - FILES))) files.delete(old);
     opened.close();
     return key;
   } catch {

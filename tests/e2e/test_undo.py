@@ -1,6 +1,7 @@
 """Undo brings back a picture that was replaced or closed, with its handles and its own steps."""
 
 import io
+import json
 
 import pytest
 from PIL import Image
@@ -213,23 +214,54 @@ def test_a_session_that_has_ended_is_uploaded_again(visits, picture, tmp_path):
         server.stop()
 
 
+STORED = """new Promise((then) => { indexedDB.open("mlswarp").onsuccess = ({ target }) =>
+  (target.result.transaction("files").objectStore("files").count().onsuccess = ({ target }) =>
+    then(target.result)); })"""
+
+
 def test_the_last_few_pictures_are_kept(visit, tmp_path):
-    for k in range(6):
+    for k in range(10):
         visit.open(other(tmp_path, f"p{k}.png", (300 + k, 200)))
         visit.body("[data-kept=true]")
+        assert visit.page.evaluate(STORED) == min(k + 1, 8)
     assert visit["undo"] == "3"
-    for k in (4, 3, 2):
+    for k in (8, 7, 6):
         visit.keys("Control+z")
-        visit.body(f"[data-state=ready][data-redo='{5 - k}']")
+        visit.body(f"[data-state=ready][data-redo='{9 - k}']")
         assert visit.page.title().startswith(f"p{k}.png")
         assert Image.open(io.BytesIO(visit.saved("download")[1])).size == (300 + k, 200)
     visit.keys("Control+z")
     assert visit["undo"] == "0" and visit.page.locator("#undo").is_disabled()
     # As many files are stored, whatever was opened.
-    count = """new Promise((then) => { indexedDB.open("mlswarp").onsuccess = ({ target }) =>
-      (target.result.transaction("files").objectStore("files").count().onsuccess = ({ target }) =>
-        then(target.result)); })"""
-    assert visit.page.evaluate(count) == 4
+    assert visit.page.evaluate(STORED) == 8
+
+
+def test_annotations_do_not_push_out_the_pictures_before(visit, tmp_path):
+    """They are stored beside the pictures: the oldest file that nothing needs makes room."""
+    shapes = tmp_path / "cells.geojson"
+
+    def annotated(x):
+        shapes.write_text(json.dumps({"type": "Point", "coordinates": [x, 50]}))
+        visit.page.set_input_files("#file", shapes)
+        visit.body("[data-annotations=exact]")
+
+    for k in range(4):
+        visit.open(other(tmp_path, f"p{k}.png", (300 + k, 200)))
+        visit.body("[data-kept=true]")
+        for x in (60, 70, 80, 90):
+            annotated(x)
+    visit.body("[data-kept=true]")
+    visit.page.reload()
+    visit.ready()
+    assert visit.page.evaluate(STORED) == 8
+    for k in (3, 2, 1, 0):
+        visit.body("[data-annotations=exact]")
+        assert visit.page.title().startswith(f"p{k}.png")
+        saved = json.loads(visit.saved("annotations-save")[1])
+        assert near(saved["coordinates"], (90, 50), 0.01)
+        if k:
+            visit.keys("Control+z")
+            visit.body(f"[data-state=ready][data-redo='{4 - k}']")
 
 
 def test_a_photograph_comes_back_under_its_name(visit):
