@@ -3,27 +3,34 @@
 import { known } from "./dom.js";
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
+import { insideOf } from "./outline.js";
 import { brushSizeOf, isRegionTool, partOf, regionOf, withPart, withoutRegion } from "./region.js";
 import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
-import { LINES_ONLY, PINS_ONLY, count, places } from "./words.js";
+import { LINES_ONLY, OUTLINE, PINS_ONLY, count, places } from "./words.js";
+
+/** Places that are this near to the outline, CSS px, mean what is inside. */
+const SNAP = 24;
 
 export class Actions {
   /**
-   * `step`: undo (true) or redo of what is more than an edit: opening or closing a picture.
+   * `step`: undo (true) or redo of what is more than an edit: opening or closing a picture. `tell`
+   * shows words too, where `say` only has them read aloud.
    * @param {Page.Store} store
    * @param {Pick<Page.Sync, "mesh" | "aligned">} sync
    * @param {Page.View} view
    * @param {Page.Handles} handles
    * @param {(words: string) => void} say
    * @param {(back: boolean) => void} step
+   * @param {(words: string) => void} [tell]
    */
-  constructor(store, sync, view, handles, say, step) {
+  constructor(store, sync, view, handles, say, step, tell = say) {
     this.store = store;
     this.sync = sync;
     this.view = view;
     this.handles = handles;
     this.say = say;
     this.step = step;
+    this.tell = tell;
   }
 
   get state() {
@@ -53,19 +60,26 @@ export class Actions {
   }
 
   /**
-   * Adds a handle at these posed positions, selects it and focuses it.
+   * Adds a handle at these posed positions, selects it and focuses it. What lies beside an outline
+   * is moved to the nearest place inside, if that is within `reach` px.
    * @param {Page.Place[]} posed
+   * @param {number} [reach]
    */
-  add(posed) {
-    const made = edits.added(
-      this.state.document,
-      posed.map((place) => this.restOf(place)),
-      posed,
-    );
+  add(posed, reach = SNAP / this.view.zoom) {
     this.store.do("draft", { places: [] });
     if (posed.length > 1 && edits.takesPinsOnly(this.state.document)) return this.say(PINS_ONLY);
     if (posed.length < 2 && edits.takesLinesOnly(this.state.document)) return this.say(LINES_ONLY);
-    if (!made) return this.say("A line needs two different points");
+    const rest = posed.map((place) => this.restOf(place));
+    const { inside } = this;
+    const p = rest.map((place) => (inside ? inside.placeFor(place, reach) : place));
+    if (!p.every((place) => place !== null)) return this.tell(OUTLINE.beside);
+    if (inside && !inside.sees(p)) return this.tell(OUTLINE.leaves);
+    const isMoved = p.some((place, k) => place !== rest[k]);
+    const q = p.map((place, k) =>
+      place === rest[k] ? posed[k] : (this.sync.mesh?.forward(...place) ?? place),
+    );
+    const made = edits.added(this.state.document, p, q);
+    if (!made) return this.tell(isMoved ? OUTLINE.beside : "A line needs two different points");
     const document = this.#keepFocus(made.document);
     this.edit(document, { select: [made.key] });
     const index = this.state.document.handles.length - 1;
@@ -74,6 +88,29 @@ export class Actions {
     this.say(
       `${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}${this.#focusKept(document === made.document)}`,
     );
+    if (isMoved) this.tell(OUTLINE.moved(1));
+  }
+
+  /** What is inside of the outline that handles act in; null without one. */
+  get inside() {
+    const { document, picture } = this.state;
+    const has = picture?.isCutout || regionOf(document).parts.length > 0;
+    return has ? insideOf(this.view, document) : null;
+  }
+
+  /** Moves what lies beside the outline to the nearest places inside. */
+  moveInside() {
+    const { document } = this.state;
+    const handles = insideOf(this.view, document)?.moved(document.handles) ?? document.handles;
+    this.edit({ ...document, handles });
+    this.tell(OUTLINE.moved(handles.filter((h, k) => h !== document.handles[k]).length));
+  }
+
+  /** Lets handles act in the plane, wherever they are. */
+  actAcross() {
+    const { document } = this.state;
+    const method = edits.infoOf(document).mesh ? "rigid" : document.method;
+    this.edit({ ...document, method, metric: "euclidean" });
   }
 
   /**
@@ -358,7 +395,8 @@ export class Actions {
     };
     const { tool } = this.state;
     const kind = isRegionTool(tool) ? "point" : tool;
-    this.add(offsets[kind].map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
+    const places = offsets[kind].map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]);
+    this.add(/** @type {Page.Place[]} */ (places), Infinity);
   }
 
   pinBorder() {

@@ -16,6 +16,7 @@ import { known } from "./dom.js";
  *   handle?: number,
  *   coincident?: { handles: number[] }[],
  *   items?: string[][],
+ *   item_count?: number,
  *   pointer?: string,
  *   request_id?: string,
  *   retry_after?: number,
@@ -44,8 +45,14 @@ export class Problem extends Error {
     this.handle = undefined;
     /** @type {ProblemMembers["coincident"]} */
     this.coincident = undefined;
+    /** Indices of the handles beside the outline, as far as this page sees. @type {number[]} */
+    this.beside = [];
+    /** Whether some of them can be moved to a place inside. */
+    this.canMoveInside = false;
     /** @type {ProblemMembers["items"]} */
     this.items = undefined;
+    /** @type {ProblemMembers["item_count"]} */
+    this.item_count = undefined;
     /** @type {ProblemMembers["pointer"]} */
     this.pointer = undefined;
     /** @type {ProblemMembers["request_id"]} */
@@ -289,7 +296,7 @@ export const points = async (id, body, signal) =>
  * The handles in a landmark file: { p, q (if the file has both sides), names (if it has any), units }.
  * `item`: which of several; `extent`: the size of the picture.
  * @param {Blob} file
- * @param {{ item?: number, extent?: Page.Size }} [how]
+ * @param {{ item?: number | string, extent?: Page.Size }} [how]
  * @returns {Promise<Page.Landmarks>}
  */
 export async function readLandmarks(file, { item, extent } = {}) {

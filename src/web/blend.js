@@ -45,7 +45,7 @@ const FILES = {
  *   size: Page.Size,
  *   p: Page.WireHandle[],
  *   names: string[] | null,
- *   chosen?: number,
+ *   chosen?: import("./landmarks.js").Item,
  *   wrong: string,
  *   address: string,
  * }} Item
@@ -304,7 +304,7 @@ export class BlendDialog {
       throw new api.Problem({ code: "too_large", detail: BLEND.large(this.limits.body) }, 0);
     /** @type {Page.SessionObject[]} */
     const sized = []; // one without handles, where a file needs the size of its picture
-    /** @type {number | undefined} */
+    /** @type {import("./landmarks.js").Item | undefined} */
     let chosen;
     const { p, q, names, units } = await landmarksOf(
       landmarks,
@@ -343,14 +343,14 @@ export class BlendDialog {
    * choice. Other pictures without landmarks that the file names have theirs in it too.
    * @param {File} landmarks
    * @param {string} file
-   * @param {string[][]} items
+   * @param {import("./landmarks.js").Items} items
    * @param {string} picture
    */
   #choose(landmarks, file, items, picture) {
     for (const other of this.#items)
-      if (!other.landmarks && indexOfItem(items, other.file.name) >= 0)
+      if (!other.landmarks && indexOfItem(items.names, other.file.name) >= 0)
         this.#give(other, landmarks);
-    const own = indexOfItem(items, picture);
+    const own = indexOfItem(items.names, picture);
     return own < 0 ? chooseItem(file, items, picture) : own;
   }
 

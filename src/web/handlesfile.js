@@ -35,19 +35,19 @@ export async function readHandles(file, picture) {
     const { line, column } = lineAndColumn(text, at);
     return `In ${file.name}, line ${line}, column ${column}`;
   };
-  /** @type {(warp: Page.Json) => Page.HandlesFile} */
-  const ready = (warp) => {
+  /** @type {(warp: Page.Json, isLandmarks?: boolean) => Page.HandlesFile} */
+  const ready = (warp, isLandmarks = false) => {
     const isNormalized = warp?.units === "normalized";
     const document = documentFrom(isNormalized ? { ...warp, units: "px" } : warp);
     const missing = warp.p.length - document.handles.length;
-    return { name: file.name, document, warp: isNormalized ? warp : null, missing };
+    return { name: file.name, document, warp: isNormalized ? warp : null, missing, isLandmarks };
   };
   /** @type {ReturnType<typeof parse> | null} */
   let parsed = null;
   try {
     if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
     if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length))
-      return ready(await landmarks(file, picture));
+      return ready(await landmarks(file, picture), true);
     const read = ready(parsed.value);
     await decodeParts(read.document.region ?? []).catch(() =>
       demand(false, "/region", "the mask of a region, a PNG in base64,"),
@@ -86,6 +86,7 @@ export async function readBoth(files, picture) {
       document,
       warp: isNormalized ? { p, q, units, sides: names } : null,
       missing: p.length - document.handles.length,
+      isLandmarks: true,
     };
   } catch (error) {
     if (error instanceof Problem) {

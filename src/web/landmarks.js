@@ -12,7 +12,10 @@ import { ITEMS } from "./words.js";
  * @typedef {{ name: string, size: () => Page.Size | Promise<Page.Size> }} OfPicture
  */
 
-/** @typedef {(file: string, items: string[][], picture: string) => number | Promise<number>} Choose */
+/** The items of a file: the names of each, as far as they are listed, and how many there are. */
+/** @typedef {{ names: string[][], count: number }} Items */
+/** @typedef {(file: string, items: Items, picture: string) => Item | Promise<Item>} Choose */
+/** An item by its index or its name. @typedef {number | string} Item */
 
 /** Only the picture that a file belongs to can answer what the server asks. */
 export class NeedsPicture extends Error {}
@@ -39,11 +42,20 @@ export function indexOfItem(items, picture) {
  *
  * @type {Choose}
  */
-export function chooseItem(file, items, picture) {
-  const [dialog, list] = [find("item"), find("item-list")];
+export function chooseItem(file, { names: items, count }, picture) {
+  const [dialog, list, other] = [find("item"), find("item-list"), find("item-other")];
   list.replaceChildren(...items.map((names, k) => new Option(ITEMS.label(names, k), String(k))));
   list.value = String(Math.max(0, indexOfItem(items, picture)));
-  text("item-note", ITEMS.note(file, items.length, picture));
+  text("item-note", ITEMS.note(file, count, picture));
+  other.value = "";
+  find("item-more").hidden = count <= items.length;
+  text("item-more-note", ITEMS.more(items.length));
+  /** @type {() => Item} */
+  const chosen = () => {
+    const words = other.value.trim();
+    const number = /^\d+$/.test(words) ? Number(words) : 0;
+    return number >= 1 && number <= count ? number - 1 : words || Number(list.value);
+  };
   find("item-form").onsubmit = () => dialog.close("use");
   list.ondblclick = () => dialog.close("use");
   find("item-close").onclick = find("item-cancel").onclick = () => dialog.close("");
@@ -52,7 +64,7 @@ export function chooseItem(file, items, picture) {
   return new Promise((resolve, reject) => {
     const end = () =>
       dialog.returnValue === "use"
-        ? resolve(Number(list.value))
+        ? resolve(chosen())
         : reject(new DOMException("nothing chosen", "AbortError"));
     dialog.addEventListener("close", end, { once: true });
   });
@@ -67,14 +79,15 @@ export function chooseItem(file, items, picture) {
  * @returns {Promise<Page.Landmarks>}
  */
 export async function landmarksOf(file, picture, choose = chooseItem) {
-  /** @type {{ item?: number, extent?: Page.Size }} */
+  /** @type {{ item?: Item, extent?: Page.Size }} */
   const how = {};
   for (;;) {
     try {
       return await api.readLandmarks(file, how);
     } catch (error) {
       if (!(error instanceof api.Problem)) throw error;
-      const asked = error.items && how.item === undefined ? error.items : null;
+      const names = how.item === undefined ? error.items : undefined;
+      const asked = names && { names, count: error.item_count ?? names.length };
       if (!asked && !(needsExtent(error) && !how.extent)) {
         error.detail = error.detail.replace(/^landmarks, /, `In ${file.name}, `);
         throw error;

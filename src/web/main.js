@@ -71,7 +71,7 @@ const sync = new Sync(
   queryFields.get("plan") !== "off",
 );
 const handles = new Handles(find("handles"), store, view);
-const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back));
+const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back), toast);
 const opener = new Opener(
   store,
   sync,
@@ -117,6 +117,9 @@ const RETRIES = new Set([
   "internal",
 ]);
 
+/** Problems of handles and the outline that they act in. */
+const OUTLINED = new Set(["outside_mask", "empty_mask"]);
+
 /**
  * Opens the browser's file chooser.
  *
@@ -161,19 +164,25 @@ const does = {
   },
   full: () => view.zoomTo(1 / view.scale),
   /** The label of the action that resolves a problem, or null. */
-  mending: ({ code, opening }) => {
+  mending: ({ code, opening, canMoveInside }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
     // The site around the frame gives tokens; a visitor has nothing to enter.
     if (KEYS.has(code)) return tokenSession() ? null : "Enter a key";
     if (RETRIES.has(code)) return "Try again";
+    if (canMoveInside) return "Move inside";
+    if (OUTLINED.has(code)) return "Act across gaps";
     return !opening && store.state.past.length ? "Undo" : null;
   },
-  mend: (problem) => {
-    if (!problem) return;
-    const action = does.mending(problem);
+  alternative: ({ code, canMoveInside }) => {
+    if (canMoveInside) return "Act across gaps";
+    return OUTLINED.has(code) && store.state.past.length ? "Undo" : null;
+  },
+  mend: (problem, action) => {
     if (action === "Open a picture") does.pick();
     else if (action === "Enter a key") does.key();
     else if (action === "Try again") (problem.opening ? opener : sync).retry();
+    else if (action === "Move inside") actions.moveInside();
+    else if (action === "Act across gaps") actions.actAcross();
     else actions.undo(true);
   },
 };

@@ -201,9 +201,8 @@ export class Opener {
   /** @param {Page.HandlesFile} file */
   async #useHandles(file) {
     const picture = known(this.store.state.picture);
-    const { name, document, warp, missing } = file.later
-      ? await this.#read(file.later, picture)
-      : file;
+    const read = file.later ? await this.#read(file.later, picture) : file;
+    const { name, document, warp, missing, isLandmarks } = read;
     const placed = warp ? scaled(warp, picture) : document;
     const own = placed.align ? await aligned(placed, placed.align.by, picture) : placed;
     const { picture: now, document: before } = this.store.state;
@@ -214,11 +213,15 @@ export class Opener {
       const detail = `The region in ${name} has ${size.join(" × ")} px, and the picture ${picture.width} × ${picture.height} px: it is for another picture.`;
       return this.#refuse(new api.Problem({ code: "bad_handles_file", detail }, 0));
     }
+    // Landmarks act where handles of this picture do.
+    const { metric, threshold } = isLandmarks ? before : own;
     // A file without a region keeps the region of the picture.
     const fitted = mask
       ? own
       : {
           ...own,
+          metric,
+          threshold,
           region: before.region,
           feather: before.feather,
           holes: own.holes ?? before.holes,
@@ -312,7 +315,16 @@ export class Opener {
   #upload(blob, name, document, signal) {
     /** @type {(percent: number) => void} */
     const progress = (percent) => this.store.do("progress", { percent });
-    return api.openSession(blob, name, restOf(document), { progress, signal });
+    const rest = restOf(document);
+    return api.openSession(blob, name, rest, { progress, signal }).catch((error) => {
+      // The picture is shown with its handles all the same, and what is wrong with them is said.
+      const isOfHandles =
+        error instanceof api.Problem &&
+        (error.handle !== undefined || error.code === "empty_mask") &&
+        rest.p.length;
+      if (!isOfHandles) throw error;
+      return api.openSession(blob, name, restOf(emptyDocument()), { progress, signal });
+    });
   }
 
   /** Repeats the last attempt that failed. */

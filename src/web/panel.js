@@ -13,6 +13,7 @@ import {
   kindName,
   kindOfOutside,
   mayHave,
+  isOutlined,
   metricOf,
   outsideOf,
   takesLinesOnly,
@@ -147,7 +148,14 @@ export class Panel {
     click("swap", () => actions.swap());
     listen("align", "change", ({ value }) => actions.align(/** @type {Page.AlignClass} */ (value)));
     click("problem-close", () => store.do("problem", { problem: null }));
-    click("problem-action", () => does.mend(state().problem));
+    for (const [id, which] of /** @type {const} */ ([
+      ["problem-action", "mending"],
+      ["problem-other", "alternative"],
+    ]))
+      click(id, () => {
+        const { problem } = state();
+        if (problem) does.mend(problem, does[which](problem));
+      });
     for (const tool of TOOLS) listen(`tool-${tool}`, "change", () => does.tool(tool));
     for (const method of METHODS) {
       const choose = () => this.#setMethod(method.name);
@@ -319,7 +327,8 @@ export class Panel {
     for (const id of /** @type {const} */ (["tool-line", "tool-path"]))
       find(id).disabled = pinsOnly;
     // The border of a cut-out lies outside of what it shows.
-    find("pin-border").disabled = pinsOnly || metricOf(document) === "geodesic";
+    find("pin-border").disabled =
+      pinsOnly || metricOf(document) === "geodesic" || (isOutlined(document) && this.#hasOutline);
     find("tool-point").disabled = takesLinesOnly(document);
     const alpha = alphaOf(document);
     find("alpha").value = String(alpha);
@@ -355,17 +364,19 @@ export class Panel {
     this.#drawCanvas(document);
   }
 
+  get #hasOutline() {
+    const { document, picture } = this.store.state;
+    return Boolean(picture?.isCutout) || regionOf(document).parts.length > 0;
+  }
+
   /**
    * Where handles act: for pictures that have an outline, or a region.
    * @param {Page.Document} document
    */
   #drawMetric(document) {
-    const { picture } = this.store.state;
     const metric = metricOf(document);
-    const hasOutline =
-      Boolean(picture?.isCutout) || regionOf(document).parts.length > 0 || metric === "geodesic";
     const isInside = metric === "geodesic";
-    find("metrics").hidden = find("metric-note").hidden = !hasOutline;
+    find("metrics").hidden = find("metric-note").hidden = !this.#hasOutline && !isInside;
     for (const [name, button] of this.#metrics) {
       button.checked = name === metric;
       button.disabled = !hasFocus(document);
@@ -486,9 +497,13 @@ export class Panel {
     text("problem-title", title);
     text("problem-detail", detail);
     text("problem-advice", advice);
-    const action = this.does.mending(problem);
-    find("problem-action").hidden = !action;
-    text("problem-action", action ?? "");
+    for (const [id, action] of /** @type {const} */ ([
+      ["problem-action", this.does.mending(problem)],
+      ["problem-other", this.does.alternative(problem)],
+    ])) {
+      find(id).hidden = !action;
+      text(id, action ?? "");
+    }
   }
 
   #drawZoom() {

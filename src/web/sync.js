@@ -7,9 +7,10 @@ import { aligned } from "./align.js";
 import * as api from "./api.js";
 import { depthsOf } from "./depth.js";
 import { known } from "./dom.js";
-import { infoOf, movedApart, ownIn, restOf, wire } from "./edits.js";
+import { infoOf, isOutlined, movedApart, ownIn, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
+import { insideOf } from "./outline.js";
 import { Plans } from "./plan.js";
 import { maskFile, regionOf, sameRegion } from "./region.js";
 
@@ -326,13 +327,17 @@ export class Sync {
     if (phase !== "open" || !this.session || this.#refused === revision || this.#stalled)
       return false;
     const rest = restOf(document);
-    if (JSON.stringify(rest) !== this.session.rest) {
-      await this.#putRest(rest);
-      return true;
-    }
     const region = regionOf(document);
-    if (!this.session.region || !sameRegion(region, this.session.region)) {
-      await this.#putRegion(region, rest);
+    /** @type {(rest: Page.Rest) => boolean} */
+    const isRest = (rest) => JSON.stringify(rest) === this.session?.rest;
+    const hasRegion = this.session.region && sameRegion(region, this.session.region);
+    if (!isRest(rest) || !hasRegion) {
+      // The server wants handles inside of the region that it has: without handles, any one will do.
+      const bare = restOf({ ...document, handles: [] });
+      const bothDiffer = !isRest(rest) && !hasRegion && isOutlined(document);
+      if (bothDiffer && !isRest(bare)) await this.#putRest(bare);
+      else if (bothDiffer || isRest(rest)) await this.#putRegion(region, rest);
+      else await this.#putRest(rest);
       return true;
     }
     const moving = before || this.#burst;
@@ -582,7 +587,13 @@ export class Sync {
 
   /** @param {Page.Problem} problem */
   #refuse(problem) {
-    this.#refused = this.store.state.revision;
+    const { document, revision } = this.store.state;
+    this.#refused = revision;
+    const inside = problem.code === "outside_mask" ? insideOf(this.view, document) : null;
+    if (inside) {
+      problem.beside = inside.beside(document.handles);
+      problem.canMoveInside = inside.moved(document.handles) !== document.handles;
+    }
     this.store.do("problem", { problem });
     this.#tell();
   }

@@ -133,6 +133,8 @@ declare namespace Page {
     document: Document;
     warp: Json;
     missing: number;
+    /** Whether it has positions alone, and no settings. */
+    isLandmarks?: boolean;
     /** The files, if only the picture tells how they are read; the others are empty then. */
     later?: File[];
   };
@@ -397,7 +399,8 @@ declare namespace Page {
     fit: () => Promise<void>;
     full: () => void;
     mending: (problem: Problem) => string | null;
-    mend: (problem: Problem | null) => void;
+    alternative: (problem: Problem) => string | null;
+    mend: (problem: Problem, action: string | null) => void;
   };
 
   // What is on the stage

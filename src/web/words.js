@@ -52,7 +52,7 @@ const PROBLEMS = {
   timeout: ["The request timed out", "Retrying automatically. A smaller picture takes less time."],
   outside_mask: [
     "A handle lies beside the outline",
-    "Put it on what the picture shows, or let handles act across gaps (Deformation).",
+    "Handles stand on what the picture shows, unless they act across gaps (Deformation).",
   ],
   empty_mask: [
     "Nothing lies inside the outline",
@@ -151,17 +151,24 @@ const PROBLEMS = {
 };
 
 /**
- * Indices of the handles that a problem is about: the member `handle`, and those that contradict
- * each other.
- * @param {Pick<Page.Problem, "handle" | "coincident"> | null | undefined} problem
+ * Indices of the handles that a problem is about: the member `handle`, those that contradict each
+ * other, and all that are beside the outline.
+ * @param {Pick<Page.Problem, "handle" | "coincident" | "beside"> | null | undefined} problem
  * @returns {number[]}
  */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
   return [
-    ...new Set([problem.handle, ...(problem.coincident ?? []).flatMap(({ handles }) => handles)]),
+    ...new Set([
+      ...(problem.beside ?? []),
+      problem.handle,
+      ...(problem.coincident ?? []).flatMap(({ handles }) => handles),
+    ]),
   ];
 }
+
+/** Handles that a sentence lists. */
+const MOST_LISTED = 8;
 
 /** @type {(list: (string | number)[]) => string} */
 const series = (list) =>
@@ -187,6 +194,7 @@ export function problemWords({
   detail: told,
   handle,
   coincident,
+  beside,
   status,
   opening,
   link,
@@ -212,7 +220,8 @@ export function problemWords({
       ? "This page opens one set of landmarks: save the one that you need as a file of its own."
       : "";
   const more = code === "internal" && id ? ` Request ${id}.` : "";
-  const marks = marked({ handle, coincident });
+  if (beside.length) return besideWords(beside);
+  const marks = marked({ handle, coincident, beside });
   const where = marks.length ? ` Marked: ${series(marks.map((index) => index + 1))}.` : "";
   const sentence = detail
     ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}`
@@ -220,11 +229,41 @@ export function problemWords({
   return { title: said, detail: `${sentence}${more}`, advice: choose || `${advice}${where}` };
 }
 
+/**
+ * What is said of handles beside the outline, and what the buttons do.
+ * @param {number[]} beside
+ */
+function besideWords(beside) {
+  const numbers = beside.map((index) => index + 1);
+  const more = numbers.length - MOST_LISTED;
+  const listed = more > 0 ? [...numbers.slice(0, MOST_LISTED), `${more} more`] : numbers;
+  const isOne = beside.length === 1;
+  return {
+    title: isOne
+      ? "A handle lies beside the outline"
+      : `${beside.length} handles lie beside the outline`,
+    detail: `${isOne ? "Handle" : "Handles"} ${series(listed)}: not, or not as a whole, on what the picture shows.`,
+    advice:
+      "Inside the outline, handles act along what the picture shows; across gaps, in the plane.",
+  };
+}
+
 /** @type {(takes: (document: { method: Page.Method }) => boolean) => string[]} */
 const titles = (takes) =>
   METHODS.filter(({ name }) => takes({ method: name })).map(({ title }) => title);
 /** @type {(list: string[], verbs: [one: string, more: string]) => string} */
 const theyDo = (list, verbs) => `${series(list)} ${verbs[list.length > 1 ? 1 : 0]}`;
+
+/** About handles and the outline that they act in. */
+export const OUTLINE = {
+  beside: "Nothing inside the outline is near: put a handle on what the picture shows",
+  leaves: "This line leaves the outline: draw a path along what the picture shows",
+  /** @type {(moved: number) => string} */
+  moved: (moved) =>
+    moved === 1
+      ? "Moved to the nearest place inside the outline"
+      : `${count(moved, "handle")} moved to the nearest places inside the outline`,
+};
 
 /** Why no line, path, border or twist is made. */
 export const PINS_ONLY = `${theyDo(titles(takesPinsOnly), ["takes", "take"])} pins without a twist only: choose another method first`;
@@ -460,8 +499,9 @@ export const ITEMS = {
     return [`${k + 1}.`, ...longest].join(" ");
   },
   /** @type {(file: string, n: number, picture: string) => string} */
-  note: (file, n, picture) =>
-    `${file} has landmarks of ${n}. Choose those that belong to ${picture}.`,
+  note: (file, n, picture) => `${file} has ${n} sets of landmarks. Choose the one for ${picture}.`,
+  /** @type {(listed: number) => string} */
+  more: (listed) => `The first ${listed} are listed. Another one: its number or its name`,
 };
 
 /** Texts of the export as an animation. */

@@ -168,6 +168,23 @@ def blending(visit):
     visit.page.select_option("#blend-file", "gif")
 
 
+def choosing(visit):
+    """One of many sets of landmarks, more than are listed."""
+    visit.expects("422")
+    visit.sample("rocket")
+    wings = "".join(f"LM=1\n{k} 100\nIMAGE=wing_{k}.jpg\n" for k in range(1100)).encode()
+    tell(visit, ["dragover", "drop"], ("wings.tps", "", wings))
+    visit.page.wait_for_selector("#item-other:visible")
+
+
+def beside(visit):
+    """Landmarks outside of the outline."""
+    visit.expects("422")
+    visit.sample("horse")
+    tell(visit, ["dragover", "drop"], ("a.csv", "text/csv", b"x,y\n5,5\n400,300\n"))
+    visit.body("[data-problem=outside_mask]")
+
+
 STATES = [
     empty,
     ready,
@@ -183,6 +200,8 @@ STATES = [
     told,
     help,
     blending,
+    choosing,
+    beside,
 ]
 
 
@@ -196,7 +215,21 @@ def test_axe_finds_nothing_serious(visits, state, theme):
 
 @pytest.mark.parametrize(
     "state, theme",
-    crossed([empty, ready, outlining, exporting, animating, waiting, told, blending], THEMES),
+    crossed(
+        [
+            empty,
+            ready,
+            outlining,
+            exporting,
+            animating,
+            waiting,
+            told,
+            blending,
+            choosing,
+            beside,
+        ],
+        THEMES,
+    ),
 )
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
@@ -258,7 +291,20 @@ SMALL = """(least) => [...document.querySelectorAll(
 
 
 @pytest.mark.parametrize(
-    "state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting, told]
+    "state",
+    [
+        empty,
+        selected,
+        comparing,
+        drawing,
+        outlining,
+        exporting,
+        animating,
+        waiting,
+        told,
+        choosing,
+        beside,
+    ],
 )
 def test_targets_are_large_enough_for_a_mouse(visit, state):
     state(visit)
@@ -283,7 +329,9 @@ def test_targets_are_large_enough_for_a_finger(visits):
 @pytest.mark.parametrize(
     "width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})]
 )
-@pytest.mark.parametrize("state", [empty, ready, outlining, exporting, animating, waiting, told])
+@pytest.mark.parametrize(
+    "state", [empty, ready, outlining, exporting, animating, waiting, told, choosing, beside]
+)
 def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     visit = visits(viewport={"width": width, "height": 700}, **more)
     state(visit)

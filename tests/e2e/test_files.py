@@ -309,7 +309,7 @@ def test_a_file_of_several_specimens_asks_which(opened):
     assert chosen(opened) == (["1. other.jpg 0", "2. discs.jpg 1"], 1)
     assert (
         opened.text("item-note")
-        == "wings.tps has landmarks of 2. Choose those that belong to discs.png."
+        == "wings.tps has 2 sets of landmarks. Choose the one for discs.png."
     )
     # y is up in this format: the height of the picture is 300.
     opened.keys("Enter")
@@ -325,6 +325,77 @@ def test_a_file_of_several_specimens_asks_which(opened):
     opened.keys("Escape")
     opened.page.wait_for_selector("#item", state="hidden")
     assert (opened["handles"], opened["problem"]) == ("2", "")
+
+
+def specimens(count):
+    return "".join(f"LM=1\n{k % 100} 100\nIMAGE=wing_{k}.jpg\n" for k in range(count)).encode()
+
+
+@pytest.mark.parametrize("typed", ["1150", "wing_1149.jpg"])
+def test_of_more_items_than_are_listed_any_may_be_chosen(opened, typed):
+    opened.expects("422")
+    drop(opened, ("wings.tps", "", specimens(1200)))
+    names, _ = chosen(opened)
+    assert len(names) == 1000 and names[-1] == "1000. wing_999.jpg"
+    assert opened.text("item-note").startswith("wings.tps has 1200 sets of landmarks.")
+    assert opened.text("item-more-note").startswith("The first 1000 are listed.")
+    opened.page.fill("#item-other", typed)
+    opened.keys("Enter")
+    opened.body("[data-handles='1']").ready()
+    assert near(opened.posed(0), (49, 200), 1)
+    # A name that no item has is said, and everything is as it was.
+    drop(opened, ("wings.tps", "", specimens(1200)))
+    chosen(opened)
+    opened.page.fill("#item-other", "nobody")
+    opened.keys("Enter")
+    opened.body("[data-problem=bad_landmarks]")
+    assert "nobody" in opened.text("problem-detail") and opened["handles"] == "1"
+    drop(opened, ("wings.tps", "", WINGS))
+    chosen(opened)
+    assert not opened.page.locator("#item-other").is_visible()
+
+
+def test_the_dialog_of_items_needs_no_mouse(opened):
+    opened.expects("422")
+    drop(opened, ("wings.tps", "", specimens(40)))
+    chosen(opened)
+    focused = "document.activeElement.id"
+    assert opened.page.evaluate(focused) == "item-list"
+    # Letters and digits go to an item, arrows to its neighbours.
+    opened.page.keyboard.type("12")
+    opened.keys("ArrowDown")
+    assert opened.page.input_value("#item-list") == "12"
+    opened.keys("Tab")
+    assert opened.page.evaluate(focused) == "item-cancel"
+    opened.keys("Tab")
+    assert opened.page.evaluate(focused) == "item-use"
+    opened.keys("Enter")
+    opened.body("[data-handles='1']").ready()
+    assert near(opened.posed(0), (12, 200), 1)
+    assert opened.page.evaluate(focused) != "item-use"
+
+
+@pytest.mark.parametrize("size", [(390, 844), (844, 390)])
+def test_the_dialog_of_items_fits_a_phone(visits, picture, size):
+    phone = visits(
+        viewport={"width": size[0], "height": size[1]},
+        has_touch=True,
+        is_mobile=True,
+        device_scale_factor=3,
+    )
+    phone.open(picture)
+    phone.expects("422")
+    drop(phone, ("wings.tps", "", specimens(1200)))
+    chosen(phone)
+    for id in ("item", "item-list", "item-other", "item-cancel", "item-use"):
+        phone.page.locator(f"#{id}").scroll_into_view_if_needed()
+        box = phone.page.locator(f"#{id}").bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= size[0]
+        assert box["y"] >= 0 and box["y"] + box["height"] <= size[1] and box["height"] >= 44
+    assert phone.page.locator("#item-list").bounding_box()["height"] >= 88
+    phone.keep(f"item-{size[0]}")
+    phone.page.tap("#item-use")
+    phone.body("[data-handles='1']").ready()
 
 
 def test_a_file_of_several_persons_waits_for_its_picture(visit, picture):

@@ -1,9 +1,14 @@
 """Handles that act inside the outline of a cut-out, and the choosers of methods and metrics."""
 
+import base64
 import io
+import json
+import re
 
 import pytest
 from PIL import Image, ImageChops, ImageDraw
+
+from support import near
 
 LEFT, RIGHT = (60, 270), (240, 270)
 
@@ -79,14 +84,201 @@ def test_the_threshold_is_a_choice(visit, tmp_path):
     assert "metric" not in visit.warp()
 
 
-def test_a_handle_beside_the_outline_is_named(visit, tmp_path):
+def toasted(visit, words):
+    visit.page.wait_for_selector(f"#toast.seen:text-matches('{words}')")
+
+
+def test_a_pin_near_the_outline_is_moved_inside(visit, tmp_path):
+    """Within a finger's width it can only mean what is inside; q follows, so that nothing bends."""
     stood(visit, tmp_path / "legs.png")
-    visit.expects("422")
+    before = drawn(visit)
+    visit.click(127, 250)
+    toasted(visit, "nearest place inside")
+    visit.body("[data-handles='5']")
+    assert drawn(visit).tobytes() == before.tobytes()
+    assert near(visit.posed(4), (119.5, 250.5), 1) and visit.warp()["p"][4] == visit.warp()["q"][4]
+    # The same in a pose, where the leg is somewhere else.
+    visit.drag(RIGHT, (280, 240))
+    visit.ready()
+    visit.click(10, 200)
+    visit.body("[data-handles='6']").ready()
+    assert near(visit.warp()["p"][5], (20.5, 200.5), 2)
+
+
+def test_a_pin_far_from_the_outline_is_refused_with_a_sentence(visit, tmp_path):
+    stood(visit, tmp_path / "legs.png")
     visit.click(150, 280)
-    visit.page.wait_for_selector("#problem:visible")
-    assert "beside the outline" in visit.page.inner_text("#problem")
+    toasted(visit, "put a handle on what the picture shows")
+    assert visit.ready()["handles"] == "4"
+    visit.page.click("#tool-line")
+    visit.drag((60, 200), (240, 200))
+    toasted(visit, "draw a path along what the picture shows")
+    assert visit.ready()["handles"] == "4"
+    visit.drag((60, 60), (240, 60))
+    assert visit.body("[data-handles='5']").ready()["problem"] == ""
+    # The button means a handle in any case, wherever the middle of the view is.
+    visit.page.click("#tool-point")
+    visit.page.click("#add")
+    assert visit.body("[data-handles='6']").ready()["problem"] == ""
+
+
+def lassos(visit):
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((10, 10), (150, 10), (150, 295), (10, 295))
+    visit.page.click("label:has(#tool-point)")
+
+
+def acts_inside(visit):
+    visit.page.click("label:has(#metric-geodesic)")
+
+
+def is_a_puppet(visit):
+    visit.page.click("label:has(#method-arap)")
+
+
+# What makes handles stand beside the outline that did not, or did without harm.
+LATER = {
+    "region": (None, lassos, [[60, 270], [240, 270], [60, 60], [240, 60]]),
+    "metric": ("euclidean", acts_inside, [[60, 270], [150, 200], [129, 250]]),
+    "method": ("euclidean", is_a_puppet, [[60, 270], [150, 200], [129, 250]]),
+}
+
+
+@pytest.mark.parametrize("how", LATER)
+@pytest.mark.parametrize("way", ["Move inside", "Act across gaps", "undo"])
+def test_what_comes_after_the_pins_leaves_a_way(visit, tmp_path, how, way):
+    metric, act, p = LATER[how]
+    q = [[x + 4, y - 6] for x, y in p]
+    visit.open(legs(tmp_path / "legs.png"))
+    value = {"p": p, "q": q, "metric": metric or "geodesic"}
+    (tmp_path / "pins.json").write_text(json.dumps(value))
+    visit.page.set_input_files("#file", tmp_path / "pins.json")
+    visit.body(f"[data-handles='{len(p)}']").ready()
+    visit.expects("422")
+    act(visit)
+    visit.body("[data-problem=outside_mask]")
+    # Every handle that is outside is named, not the first one alone.
+    assert re.match(r"Handles 2 and \d:", visit.text("problem-detail"))
+    assert visit.page.locator("#handles [data-fault='']").count() == 2
+    if way == "undo":
+        visit.page.click("#undo")
+        visit.ready()
+        assert visit.warp()["p"] == p
+        return
+    button = visit.page.get_by_role("button", name=way)
+    assert button.is_visible()
+    button.click()
+    visit.ready()
+    warp = visit.warp()
+    if way == "Act across gaps":
+        assert warp["p"] == p and "metric" not in warp and warp["method"] == "rigid"
+        return
+    source = Image.open(tmp_path / "legs.png").getchannel("A")
+    for (x, y), (u, v), was in zip(warp["p"], warp["q"], p):
+        assert source.getpixel((int(x), int(y))) and near((u - x, v - y), (4, -6), 0.02)
+        assert [x, y] == was or not source.getpixel(tuple(was)) or how == "region"
+    assert warp["p"][0] == p[0]
+    # One step takes it back, and what was said comes again.
     visit.page.click("#undo")
-    visit.body("[data-handles='4']").ready()
+    visit.body("[data-problem=outside_mask]")
+
+
+@pytest.mark.parametrize("name", ["points.csv", "horse.pts", "face.tps"])
+def test_landmarks_beside_the_outline_are_named_and_moved_inside(visit, tmp_path, name):
+    places = [(60, 60), (240, 60), (60, 270), (126, 200), (174, 230)]
+    text = {
+        "points.csv": "x,y\n" + "".join(f"{x},{y}\n" for x, y in places),
+        "horse.pts": f"version: 1\nn_points: {len(places)}\n{{\n"
+        + "".join(f"{x} {y}\n" for x, y in places)
+        + "}\n",
+        # Its origin is the lower left corner.
+        "face.tps": f"LM={len(places)}\n" + "".join(f"{x} {300 - y}\n" for x, y in places),
+    }[name]
+    visit.open(legs(tmp_path / "legs.png"))
+    visit.expects("422")
+    (tmp_path / name).write_text(text)
+    visit.page.set_input_files("#file", tmp_path / name)
+    visit.body("[data-handles='5'][data-problem=outside_mask]")
+    assert visit.text("problem-title") == "2 handles lie beside the outline"
+    assert visit.text("problem-detail").startswith("Handles 4 and 5:")
+    assert visit.page.is_checked("#metric-geodesic")
+    visit.page.click("#problem-action")
+    toasted(visit, "2 handles moved to the nearest places inside")
+    visit.ready()
+    warp = visit.warp()
+    assert warp["metric"] == "geodesic" and len(warp["p"]) == 5
+    assert warp["p"][3][0] < 120 and warp["p"][4][0] > 180
+
+
+def test_a_line_that_leaves_the_outline_may_act_across_gaps(visit, tmp_path):
+    visit.open(legs(tmp_path / "legs.png"))
+    visit.expects("422")
+    value = {"p": [[[60, 200], [240, 200]]], "metric": "geodesic"}
+    (tmp_path / "line.json").write_text(json.dumps(value))
+    visit.page.set_input_files("#file", tmp_path / "line.json")
+    visit.body("[data-problem=outside_mask]")
+    assert visit.text("problem-action") == "Act across gaps"
+    assert visit.text("problem-other") == "Undo"
+    visit.page.click("#problem-action")
+    visit.ready()
+
+
+def test_a_project_with_handles_beside_the_outline_is_opened(visits, tmp_path):
+    """What a page can save, it can open, with the same way out."""
+    visit = visits()
+    visit.open(legs(tmp_path / "legs.png"))
+    visit.expects("422")
+    (tmp_path / "points.csv").write_text("x,y\n60,60\n126,200\n")
+    visit.page.set_input_files("#file", tmp_path / "points.csv")
+    visit.body("[data-handles='2'][data-problem=outside_mask]")
+    name, saved = visit.saved("save-project")
+    (tmp_path / name).write_bytes(saved)
+    other = visits()
+    other.expects("422")
+    other.page.set_input_files("#file", tmp_path / name)
+    other.body("[data-handles='2'][data-problem=outside_mask]")
+    other.page.click("#problem-action")
+    other.ready()
+    # And a reload of a page that says so.
+    visit.page.reload()
+    visit.body("[data-handles='2'][data-problem=outside_mask]")
+    visit.page.click("#problem-action")
+    visit.ready()
+
+
+def test_handles_and_region_change_together(visit, tmp_path):
+    """Neither the old handles in the new region nor the new ones in the old one are inside."""
+    visit.open(legs(tmp_path / "legs.png"))
+    for k, (pin, box) in enumerate([(LEFT, (10, 10, 140, 295)), (RIGHT, (160, 10, 295, 295))]):
+        mask = io.BytesIO()
+        region = Image.new("L", (300, 300))
+        ImageDraw.Draw(region).rectangle(box, fill=255)
+        region.save(mask, "PNG")
+        value = {
+            "p": [pin, [pin[0], 60]],
+            "metric": "geodesic",
+            "region": base64.b64encode(mask.getvalue()).decode(),
+        }
+        (tmp_path / f"{k}.json").write_text(json.dumps(value))
+        visit.page.set_input_files("#file", tmp_path / f"{k}.json")
+        visit.body("[data-handles='2']").ready()
+        assert visit.warp()["p"][0] == list(pin)
+    visit.page.click("#undo")
+    visit.ready()
+    assert visit.warp()["p"][0] == list(LEFT)
+
+
+def test_the_border_of_a_cut_out_is_not_pinned(visit, tmp_path):
+    visit.expects("422")  # a puppet has no table of coefficients
+    visit.open(legs(tmp_path / "legs.png"))
+    for method in ("rigid", "arap"):
+        visit.page.click(f"label:has(#method-{method})")
+        visit.ready()
+        assert visit.page.locator("#pin-border").is_disabled()
+    visit.page.click("label:has(#method-rigid)")
+    visit.page.click("label:has(#metric-euclidean)")
+    visit.ready()
+    assert visit.page.locator("#pin-border").is_enabled()
 
 
 def test_a_photograph_has_no_outline(opened):

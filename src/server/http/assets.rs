@@ -53,7 +53,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,
             "landmarks.js" JS,
             "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
-        "mesh.js" JS, "methods.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS,
+        "mesh.js" JS, "methods.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS, "outline.js" JS,
         "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "plan.js" JS,
             "player.js" JS, "pointer.js" JS, "project.js" JS, "region.js" JS,
         "regionpaint.js" JS, "regiontool.js" JS, "samples.js" JS, "share.js" JS, "slider.js" JS,

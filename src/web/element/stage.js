@@ -138,6 +138,7 @@ function doing(store, view) {
     removes: nothing,
     fit: async () => {},
     mending: () => null,
+    alternative: () => null,
     mend: nothing,
     tool: (tool) => tool !== "lasso" && tool !== "brush" && store.do("tool", { tool }),
     mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),

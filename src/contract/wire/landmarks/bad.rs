@@ -14,8 +14,8 @@ pub(super) struct Bad {
     detail: String,
     /// The limit of columns, if that is exceeded.
     limit: Option<usize>,
-    /// The names of each item of the file, if one of them is to be chosen.
-    items: Vec<Vec<String>>,
+    /// The names of the first items of the file, if one is to be chosen, and how many it has.
+    items: Option<(Vec<Vec<String>>, usize)>,
 }
 
 /// An error in JSON: at a byte, or at a JSON pointer.
@@ -30,12 +30,13 @@ impl Bad {
             at,
             detail: detail.into(),
             limit: None,
-            items: Vec::new(),
+            items: None,
         }
     }
 
-    /// With the names of each item.
-    pub(super) fn items(self, items: Vec<Vec<String>>) -> Self {
+    /// With the names of the first items, of `count`.
+    pub(super) fn items(self, names: Vec<Vec<String>>, count: usize) -> Self {
+        let items = Some((names, count)).filter(|_| count > 0);
         Self { items, ..self }
     }
 
@@ -99,10 +100,10 @@ impl Bad {
             None => Problem::new(Code::BadLandmarks, detail),
         };
         let problem = problem.extra("line", line).extra("column", column);
-        if self.items.is_empty() {
-            return problem;
+        match self.items {
+            None => problem,
+            Some((names, count)) => problem.extra("items", names).extra("item_count", count),
         }
-        problem.extra("items", self.items)
     }
 }
 

@@ -178,7 +178,7 @@ impl Items {
                     "expected `item`, the index or name of one, because the file has {}",
                     self.list(what)
                 );
-                Err(Bad::new(self.second, detail).items(self.named.clone()))
+                Err(Bad::new(self.second, detail).items(self.named.clone(), self.count))
             }
             Some(item) if self.found.is_none() && !is_only => {
                 let found = if self.count == 0 {
@@ -187,7 +187,7 @@ impl Items {
                     self.list(what)
                 };
                 let detail = format!("expected the item {}; the file has {found}", item.text());
-                Err(Bad::new(end, detail).items(self.named.clone()))
+                Err(Bad::new(end, detail).items(self.named.clone(), self.count))
             }
             _ => Ok(()),
         }

@@ -216,7 +216,9 @@ fn files_with_several_objects_list_them() {
             "{detail}"
         );
         // A program need not read that sentence.
-        let items = problem.to_json("", None)["items"].clone();
+        let told = problem.to_json("", None);
+        let items = told["items"].clone();
+        assert_eq!(told["item_count"], items.as_array().unwrap().len());
         for (index, names) in items.as_array().unwrap().iter().enumerate() {
             for name in names.as_array().unwrap() {
                 assert!(listed.contains(&format!("`{}`", name.as_str().unwrap())));
@@ -230,9 +232,10 @@ fn files_with_several_objects_list_them() {
         .map(|k| format!("LM=1\n{k} 1\nIMAGE={k}{long}\n"))
         .collect();
     let problem = read(rows.concat()).unwrap_err();
-    let items = problem.to_json("", None)["items"].clone();
-    let count = items.as_array().unwrap().len();
+    let told = problem.to_json("", None);
+    let count = told["items"].as_array().unwrap().len();
     assert!((15..25).contains(&count), "{count}");
+    assert_eq!(told["item_count"], 40);
     let (_, _, detail) = place(&item(COCO, "a.jpg").unwrap_err());
     assert!(
         detail.contains(
