@@ -106,6 +106,14 @@ export class Actions {
     this.tell(OUTLINE.moved(handles.filter((h, k) => h !== document.handles[k]).length));
   }
 
+  /**
+   * Deletes handles by their indices.
+   * @param {number[]} indices
+   */
+  removeThose(indices) {
+    this.remove(indices.map((index) => String(this.state.document.handles[index].id)));
+  }
+
   /** Lets handles act in the plane, wherever they are. */
   actAcross() {
     const { document } = this.state;

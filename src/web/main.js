@@ -173,9 +173,9 @@ const does = {
     if (OUTLINED.has(code)) return "Act across gaps";
     return !opening && store.state.past.length ? "Undo" : null;
   },
-  alternative: ({ code, canMoveInside }) => {
+  alternative: ({ canMoveInside, beside }) => {
     if (canMoveInside) return "Act across gaps";
-    return OUTLINED.has(code) && store.state.past.length ? "Undo" : null;
+    return beside.length ? "Delete marked" : null;
   },
   mend: (problem, action) => {
     if (action === "Open a picture") does.pick();
@@ -183,6 +183,7 @@ const does = {
     else if (action === "Try again") (problem.opening ? opener : sync).retry();
     else if (action === "Move inside") actions.moveInside();
     else if (action === "Act across gaps") actions.actAcross();
+    else if (action === "Delete marked") actions.removeThose(problem.beside);
     else actions.undo(true);
   },
 };

@@ -9,6 +9,8 @@ import { isDecoded, maskOf, regionOf } from "./region.js";
 const MOST = 1 << 24;
 /** The server takes what is this near to the inside, px. */
 const NEAR = 3;
+/** Handles that are beside it by more than this share of the longest side belong elsewhere. */
+const MOST_BESIDE = 0.05;
 /** Sides of the squares that are looked at before their pixels. */
 const BLOCK = 16;
 
@@ -134,20 +136,21 @@ export class Inside {
   }
 
   /**
-   * The handles with every place at rest inside; each keeps its displacement. The same if none is
-   * moved.
+   * The handles with every place at rest inside; each keeps its displacement. Null if one lies far
+   * from what is inside, or is a line that leaves it.
    * @param {Page.Handle[]} handles
-   * @returns {Page.Handle[]}
+   * @returns {Page.Handle[] | null}
    */
   moved(handles) {
+    const reach = (MOST_BESIDE * Math.max(this.width, this.height)) / this.scale;
     const next = handles.map((handle) => {
-      const p = handle.p.map((place) => this.placeFor(place) ?? place);
+      const p = handle.p.map((place) => this.placeFor(place, reach) ?? place);
       if (p.every((place, k) => place === handle.p[k])) return handle;
       /** @type {(place: Page.Place, k: number) => Page.Place} */
       const along = (place, k) => place.map((c, axis) => c + p[k][axis] - handle.p[k][axis]);
       return { ...handle, p: p.map(rounded), q: handle.q.map((q, k) => rounded(along(q, k))) };
     });
-    return next.every((handle, k) => handle === handles[k]) ? handles : next;
+    return this.beside(next).length ? null : next;
   }
 }
 

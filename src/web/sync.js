@@ -592,7 +592,7 @@ export class Sync {
     const inside = problem.code === "outside_mask" ? insideOf(this.view, document) : null;
     if (inside) {
       problem.beside = inside.beside(document.handles);
-      problem.canMoveInside = inside.moved(document.handles) !== document.handles;
+      problem.canMoveInside = problem.beside.length > 0 && inside.moved(document.handles) !== null;
     }
     this.store.do("problem", { problem });
     this.#tell();

@@ -242,7 +242,7 @@ function besideWords(beside) {
     title: isOne
       ? "A handle lies beside the outline"
       : `${beside.length} handles lie beside the outline`,
-    detail: `${isOne ? "Handle" : "Handles"} ${series(listed)}: not, or not as a whole, on what the picture shows.`,
+    detail: `${isOne ? "Handle" : "Handles"} ${series(listed)}: not, or not as a whole, on what the picture and its region show.`,
     advice:
       "Inside the outline, handles act along what the picture shows; across gaps, in the plane.",
   };

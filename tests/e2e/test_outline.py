@@ -124,7 +124,7 @@ def test_a_pin_far_from_the_outline_is_refused_with_a_sentence(visit, tmp_path):
 
 def lassos(visit):
     visit.page.click("label:has(#tool-lasso)")
-    visit.drag((10, 10), (150, 10), (150, 295), (10, 295))
+    visit.drag((10, 10), (226, 10), (226, 295), (10, 295))
     visit.page.click("label:has(#tool-point)")
 
 
@@ -138,9 +138,9 @@ def is_a_puppet(visit):
 
 # What makes handles stand beside the outline that did not, or did without harm.
 LATER = {
-    "region": (None, lassos, [[60, 270], [240, 270], [60, 60], [240, 60]]),
-    "metric": ("euclidean", acts_inside, [[60, 270], [150, 200], [129, 250]]),
-    "method": ("euclidean", is_a_puppet, [[60, 270], [150, 200], [129, 250]]),
+    "region": (None, lassos, [[60, 270], [236, 270], [60, 60], [234, 60]]),
+    "metric": ("euclidean", acts_inside, [[60, 270], [172, 200], [129, 250]]),
+    "method": ("euclidean", is_a_puppet, [[60, 270], [172, 200], [129, 250]]),
 }
 
 
@@ -218,9 +218,35 @@ def test_a_line_that_leaves_the_outline_may_act_across_gaps(visit, tmp_path):
     visit.page.set_input_files("#file", tmp_path / "line.json")
     visit.body("[data-problem=outside_mask]")
     assert visit.text("problem-action") == "Act across gaps"
-    assert visit.text("problem-other") == "Undo"
+    assert visit.text("problem-other") == "Delete marked"
     visit.page.click("#problem-action")
     visit.ready()
+    visit.page.click("#undo")
+    visit.body("[data-problem=outside_mask]")
+    visit.page.click("#problem-other")
+    assert visit.ready()["handles"] == "0"
+
+
+def test_handles_far_from_the_region_are_not_heaped_at_its_edge(visit, tmp_path):
+    """A region around one leg: the pins elsewhere stay where they are, or go."""
+    stood(visit, tmp_path / "legs.png")
+    visit.drag(RIGHT, (260, 240))
+    visit.ready()
+    warp = visit.warp()
+    visit.expects("422")
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((170, 130), (295, 130), (295, 295), (170, 295))
+    visit.body("[data-problem=outside_mask]")
+    assert visit.text("problem-title") == "3 handles lie beside the outline"
+    assert visit.text("problem-action") == "Act across gaps"
+    visit.page.click("#problem-action")
+    visit.ready()
+    assert visit.warp()["p"] == warp["p"] and visit.warp()["q"] == warp["q"]
+    visit.page.click("#undo")
+    visit.body("[data-problem=outside_mask]")
+    visit.page.click("#problem-other")
+    visit.ready()
+    assert visit.warp()["p"] == [warp["p"][1]]
 
 
 def test_a_project_with_handles_beside_the_outline_is_opened(visits, tmp_path):

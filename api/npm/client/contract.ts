@@ -1321,6 +1321,11 @@ export type Problem = {
    */
   items?: string[][];
   /**
+   * With `items`: how many the file has. Beyond those in `items`, one is chosen by its index
+   * or name all the same.
+   */
+  item_count?: number;
+  /**
    * With `superseded`: the highest `seq` that the session has seen.
    */
   newest?: number;
