@@ -3,7 +3,7 @@
 use super::Nodes;
 use super::nodes::{NoNodes, number, pixels_around};
 
-/// Pairs of neighbours after which somebody is asked whether the work is still needed.
+/// Pairs of neighbours between two calls of `cancelled`.
 const PAIRS_PER_CHECK: usize = 1 << 16;
 
 impl Nodes {
@@ -65,7 +65,7 @@ impl Nodes {
                 }
             }
         }
-        // Each end has moved to that of its own node.
+        // `end[k]` began as the start of what node k has, and has moved to its end.
         self.first_neighbour = Vec::with_capacity(end.len());
         let (mut first, mut kept) = (0, 0);
         for (node, end) in end[..self.positions.len()].iter().enumerate() {

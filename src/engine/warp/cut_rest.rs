@@ -183,7 +183,7 @@ impl RestSpec {
         let stride = Nodes::stride_of(mask);
         let nodes = Nodes::size(mask, stride, cancelled).ok_or(WarpError::Cancelled)?;
         let columns: u64 = self.p.iter().map(|handle| handle.columns() as u64).sum();
-        // More is refused.
+        // Distances that take more are refused when they are computed, so no more is reserved.
         let of_nodes = |of_node: u64| {
             let of_node = of_node + Distances::bytes_for(1) * columns;
             nodes.nodes.saturating_mul(of_node).min(limits.plan_bytes)

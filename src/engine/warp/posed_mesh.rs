@@ -259,22 +259,22 @@ impl PosedMesh {
         self.digest
     }
 
-    /// The report of a file that shows `subject`.
+    /// The report of a file that shows `source`.
     ///
     /// # Errors
     /// Cancelled.
     #[cfg(feature = "codec")]
     pub fn into_report_on(
         self,
-        subject: RasterSource<'_>,
+        source: RasterSource<'_>,
         (target, output): (&Target, &OutputSpec),
         cancelled: IsCancelled<'_>,
     ) -> Result<Report, WarpError> {
         let mut report = self.into_report(
-            Some(target.canvas.unwrap_or(Canvas::of(subject.extent()))),
+            Some(target.canvas.unwrap_or(Canvas::of(source.extent()))),
             cancelled,
         )?;
-        report.warnings.extend(subject.warnings(target, output));
+        report.warnings.extend(source.warnings(target, output));
         Ok(report)
     }
 

@@ -164,7 +164,7 @@ impl RasterSource<'_> {
         }
     }
 
-    /// Digest of the subject, part of an ETag; different kinds of subjects have different digests.
+    /// Digest of the source, part of an ETag; different kinds of sources have different digests.
     #[must_use]
     pub fn digest(self) -> Digest {
         match self {

@@ -67,8 +67,8 @@ impl DrawJob {
             preview,
             ..
         } = self;
-        let extent = content.subject().extent();
-        content.subject().check(output)?;
+        let extent = content.raster_source().extent();
+        content.raster_source().check(output)?;
         output.check(extent, limits)?;
         let pose_as = if preview.is_some() {
             PosedMesh::coarse

@@ -45,7 +45,7 @@ pub(crate) struct DrawnContent {
 
 impl Drawable {
     /// What the engine draws.
-    pub(crate) fn subject(&self) -> RasterSource<'_> {
+    pub(crate) fn raster_source(&self) -> RasterSource<'_> {
         match self {
             Self::Image(image) => RasterSource::Image(image),
             Self::Labels(labels) => RasterSource::Labels(labels),
@@ -85,8 +85,8 @@ impl DrawnContent {
     }
 
     /// What the engine draws.
-    pub(crate) fn subject(&self) -> RasterSource<'_> {
-        self.drawable.subject()
+    pub(crate) fn raster_source(&self) -> RasterSource<'_> {
+        self.drawable.raster_source()
     }
 
     /// The image and the region whose mask shows what is connected; none of labels and coverage.
@@ -102,26 +102,26 @@ impl DrawnContent {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
-    /// The output where only that of pictures is known. JPEG and WebP would change labels and
-    /// coverage: then it is PNG. A value outside is one of pictures.
-    pub(crate) fn output_beside(&self, pictures: OutputSpec) -> OutputSpec {
+    /// The output of this where only that of images is known. JPEG and WebP would change labels and
+    /// coverage, which become PNG; an outside value is one of images, and becomes transparent.
+    pub(crate) fn output_beside(&self, of_images: OutputSpec) -> OutputSpec {
         if matches!(self.drawable, Drawable::Image(_)) {
-            return pictures;
+            return of_images;
         }
-        let format = if pictures.format.keeps_labels() {
-            pictures.format
+        let format = if of_images.format.keeps_labels() {
+            of_images.format
         } else {
             Format::default()
         };
-        let outside = if matches!(pictures.outside, Outside::Value(_)) {
+        let outside = if matches!(of_images.outside, Outside::Value(_)) {
             Outside::Transparent
         } else {
-            pictures.outside
+            of_images.outside
         };
         OutputSpec {
             format,
             outside,
-            ..pictures
+            ..of_images
         }
     }
 

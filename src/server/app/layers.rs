@@ -58,7 +58,7 @@ pub(crate) async fn put(
             .images
             .decode_file(client, &ticket, kind, digest, file.clone())
             .await?;
-        check_extent(drawable.subject().extent(), old.extent)?;
+        check_extent(drawable.raster_source().extent(), old.extent)?;
         // The ticket is not held while the store works.
         drop(ticket);
         let mut layers = old.layers.clone();

@@ -209,7 +209,7 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseRespon
             let shown = canvas.map_or(setup.source(), |canvas| canvas.extent);
             report.warnings.extend(
                 content
-                    .subject()
+                    .raster_source()
                     .warnings(&Target::of(canvas, shown), &output),
             );
         }

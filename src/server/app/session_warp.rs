@@ -112,7 +112,7 @@ pub(crate) async fn of_session(
         planned,
     } = plan;
     let key = QueueKey::session(client, record.id);
-    let extent = content.subject().extent();
+    let extent = content.raster_source().extent();
     // A canvas that depends on the pose is about as large as the image.
     let target = output.target_before_pose(extent, &app.plans.limits)?;
     if target.map_or(extent, |target| target.extent).pixels() > MOST_DRAG_PIXELS {

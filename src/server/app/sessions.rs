@@ -120,7 +120,7 @@ fn record_of(
         image: files[0].digest,
         layers: made_with_region.map(layer).into_iter().collect(),
         made_with_region,
-        extent: content.subject().extent(),
+        extent: content.raster_source().extent(),
         rest: object.rest,
         pose,
         folds: object.folds,

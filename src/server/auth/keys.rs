@@ -45,7 +45,7 @@ impl Credential {
             .map(|key| key.digest)
     }
 
-    /// This key's credential for who has a token.
+    /// The credential of whoever has a token that was made with this key.
     pub(super) const fn limited_to(self, grant: Grant) -> Self {
         Self {
             grant: Some(grant),
@@ -148,8 +148,8 @@ impl Keys {
         bool::from(found).then_some(credential)
     }
 
-    /// The credential of the owner's key that a property of its digest tells. Not in constant time:
-    /// who asks has shown a signature.
+    /// The credential of the owner's key for whose digest `is_it` is true. It is not looked up in
+    /// constant time: whoever asks has shown a signature.
     pub(super) fn find(
         &self,
         owner: Owner,

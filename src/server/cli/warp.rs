@@ -224,7 +224,7 @@ impl WarpJob<'_> {
         }
         let region = region.map(|(region, _)| region);
         let (picture, labels);
-        let subject = match (args.kind, &region) {
+        let source = match (args.kind, &region) {
             (WarpKind::Image, _) => {
                 picture = decode(&file).map_err(about)?;
                 RasterSource::Image(&picture)
@@ -241,7 +241,7 @@ impl WarpJob<'_> {
             (WarpKind::Holes, None) => return Err(no_region()),
         };
         let shape;
-        let image = match subject {
+        let image = match source {
             RasterSource::Image(image) => Some(image),
             RasterSource::Labels(_) => None,
             RasterSource::Coverage(_) | RasterSource::Holes(_) if self.object.rest.needs_mask() => {
@@ -251,8 +251,8 @@ impl WarpJob<'_> {
             RasterSource::Coverage(_) | RasterSource::Holes(_) => None,
         };
         let image = image.map(|image| (image, region.as_ref()));
-        self.prepare(subject.extent(), image, landmarks)?;
-        self.render(subject, region.as_ref(), write)
+        self.prepare(source.extent(), image, landmarks)?;
+        self.render(source, region.as_ref(), write)
     }
 
     /// The landmarks of an image, if they are in files.
@@ -325,7 +325,7 @@ impl WarpJob<'_> {
 
     fn render(
         &self,
-        subject: RasterSource<'_>,
+        source: RasterSource<'_>,
         region: Option<&Region>,
         write: impl FnOnce(WriteContent<'_>) -> Result<(), Failure>,
     ) -> Result<String, Failure> {
@@ -343,19 +343,19 @@ impl WarpJob<'_> {
         let pose = setup
             .pose(object.posed()?)
             .map_err(|error| located(error.into()))?;
-        subject
+        source
             .check(&object.output)
             .map_err(|error| located(error.into()))?;
         object
             .output
-            .check(subject.extent(), &limits)
+            .check(source.extent(), &limits)
             .map_err(|error| located(error.into()))?;
         let posed = PosedMesh::new(setup, plan, &pose, object.folds, &|| false)?;
         let posed = match region {
             Some(region) => posed.within(region.clone()),
             None => posed,
         };
-        let warp = RenderJob::new(subject, &posed, &object.output, &limits)?;
+        let warp = RenderJob::new(source, &posed, &object.output, &limits)?;
         write(&mut |sink| {
             let mut written = Ok(());
             let _ = warp.write(
@@ -379,7 +379,7 @@ impl WarpJob<'_> {
             residual,
             exceeded,
             ..
-        } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
+        } = posed.into_report_on(source, (&target, &object.output), &|| false)?;
         let (width, height) = (target.extent.width(), target.extent.height());
         let canvas = target.canvas.map_or_else(String::new, |canvas| {
             format!(", canvas {}", canvas_text(canvas))

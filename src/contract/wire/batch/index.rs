@@ -12,7 +12,7 @@ use crate::wire::AsJson;
 pub struct FramePosition {
     /// The share of the way from rest to `q`; with a jitter, before the handles are displaced.
     pub strength: f64,
-    /// Of an in-between: its time, 0 to 1.
+    /// The time of an in-between, 0 to 1; absent of other frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub t: Option<f64>,
     /// What displaces the handles at random, if anything does.
@@ -32,9 +32,9 @@ pub struct FrameJitter {
 /// What the index of a batch says of a frame.
 #[derive(Debug, Serialize)]
 pub struct BatchFrame {
-    /// The file names.
+    /// The name of the image's file.
     pub picture: String,
-    /// By the names of the layers.
+    /// The names of the layers' files, by those of the layers.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub layers: BTreeMap<String, String>,
     /// The name of the file of annotations.
@@ -43,13 +43,13 @@ pub struct BatchFrame {
     /// How far the frame is from the handles at rest.
     #[serde(flatten)]
     pub position: FramePosition,
-    /// Width of the picture, px.
+    /// Width of the image, px.
     pub width: u32,
-    /// Height of the picture, px.
+    /// Height of the image, px.
     pub height: u32,
-    /// The part of the posed plane that the picture shows.
+    /// The part of the posed plane that the image shows.
     pub canvas: AsJson<Canvas>,
-    /// px of the picture in a px of the canvas, along each axis.
+    /// px of the image in a px of the canvas, along each axis.
     pub scale: [f64; 2],
     /// Drawn cells that fold.
     pub folds: u64,

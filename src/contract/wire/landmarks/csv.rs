@@ -22,13 +22,13 @@ pub(super) const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
 /// The most columns of a header that an error names.
 const MOST_NAMED: usize = 8;
 
-/// Which field is what.
+/// What the fields of a row are.
 struct Columns {
     p: [usize; 2],
     q: Option<[usize; 2]>,
     name: Option<usize>,
     width: usize,
-    /// What the width is explained by.
+    /// Where the width comes from, in the words of an error.
     like: &'static str,
 }
 
@@ -72,7 +72,7 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     Ok(rows.end())
 }
 
-/// Errors: Another decimal mark than in the numbers before.
+/// Errors: the number has another decimal mark than those before it.
 fn same_mark(field: Located<'_>, mark: &mut Option<char>) -> Result<(), Bad> {
     let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)) else {
         return Ok(());

@@ -19,11 +19,12 @@ type Names = Vec<(usize, String)>;
 /// How to match by order, for errors.
 const BY_ORDER: &str = "to match them by order send match=order (`--match order`)";
 
-/// Pairs the landmarks as requested, or else by name if the names explain both files: not where
-/// they are the same in both, only say what kind of thing a landmark is, or are positions: then,
-/// and without names, by order. Errors: An error, and 0 for the first file or 1 for the second: a
-/// name that does not tell landmarks apart, names of which the fewest match, or another number or
-/// shape.
+/// Pairs the landmarks as requested. Without a request they are paired by name if both files have
+/// names that tell which belong together, and otherwise by order: so are names that are the same in
+/// both files, that only say what kind of thing a landmark is, or that are positions.
+///
+/// Errors: an error, and 0 for the first file or 1 for the second: a name that does not tell
+/// landmarks apart, names of which the fewest match, or another number or shape.
 pub(super) fn pair(
     files: &[LandmarkFile; 2],
     matching: Option<Matching>,

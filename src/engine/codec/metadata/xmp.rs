@@ -39,7 +39,7 @@ pub(super) fn kept(packet: &[u8]) -> Option<Vec<u8>> {
             text = Cow::Owned(without(&text, name)?);
         }
     }
-    // A picture in another place.
+    // A thumbnail that is not in one of these properties still shows the stored pixels.
     (!text.contains("xmpGImg:image")).then(|| text.into_owned().into_bytes())
 }
 

@@ -87,7 +87,7 @@ pub(in crate::codec) fn write(
         directory.short(317, 2);
     }
     if let Some(Palette { colours, .. }) = palette {
-        // All reds first; 257 c is c as 16 bit.
+        // A palette has all reds first, then all greens and all blues; 257 c is c as 16 bit.
         let colour = |c: usize, k: usize| {
             colours
                 .get(k)

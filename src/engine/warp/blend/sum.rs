@@ -132,12 +132,12 @@ impl ImageSum {
         if weight == 0.0 {
             return Ok(());
         }
-        let subject = RasterSource::Image(image);
+        let source = RasterSource::Image(image);
         let target = self.target_of(mirrored_in);
         let is_mirrored = mirrored_in.is_some();
-        subject.make_copies(target, posed, output, cancelled)?;
-        let drawer = subject.drawer(target, posed, output);
-        let (width, depth) = (self.target.extent.width() as usize, subject.depth());
+        source.make_copies(target, posed, output, cancelled)?;
+        let drawer = source.drawer(target, posed, output);
+        let (width, depth) = (self.target.extent.width() as usize, source.depth());
         let pixel_bytes = drawer.pixel_bytes();
         let channels = pixel_bytes / depth.bytes();
         let curve = decoding_curve(self.space, depth);

@@ -1,4 +1,4 @@
-//! Draws the rows of a subject; each kind of subject has its variant. Every division into bands
+//! Draws the rows of a source; each kind of source has its variant. Every division into bands
 //! gives the same bytes.
 
 pub(super) mod region;
@@ -15,7 +15,7 @@ use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 /// Samples along a side of a pixel whose coverage by a cut grid is counted.
 const SAMPLES: u32 = 4;
 
-/// Draws one subject.
+/// Draws one source.
 #[derive(Debug)]
 pub(super) enum MeshRenderer {
     /// A picture.
@@ -40,9 +40,9 @@ pub(super) enum MeshRenderer {
 }
 
 impl MeshRenderer {
-    /// Draws a subject through a mesh, without a region.
-    pub(super) fn new(subject: RasterSource<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
-        match subject {
+    /// Draws a source through a mesh, without a region.
+    pub(super) fn new(source: RasterSource<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
+        match source {
             RasterSource::Image(image) => Self::image(image, mesh, options),
             RasterSource::Labels(labels) => Self::labels(labels, mesh, options),
             RasterSource::Coverage(_) if mesh.cut_mesh().is_some() => {
@@ -117,7 +117,7 @@ impl MeshRenderer {
         }
     }
 
-    /// Whether what is drawn has alpha and the subject has none.
+    /// Whether what is drawn has alpha and the source has none.
     #[cfg(feature = "codec")]
     pub(super) fn adds_alpha(&self) -> bool {
         match self {

@@ -1,4 +1,4 @@
-//! Draws a subject of which a region moves, and the holes that the region leaves. `warp/region.rs`
+//! Draws a source of which a region moves, and the holes that the region leaves. `warp/region.rs`
 //! has the rule.
 
 use std::ops::Range;
@@ -20,29 +20,29 @@ pub(super) fn work_bytes(target: Extent) -> u64 {
     u64::from(STRIP_ROWS) * u64::from(target.width()) * PIXEL_BYTES
 }
 
-/// Draws a subject of which only the content of a region moves.
+/// Draws a source of which only the content of a region moves.
 #[derive(Debug)]
 pub(in super::super) struct RegionDrawer {
     background: MeshRenderer,
     moved: MeshRenderer,
     weights: Weights,
-    /// Those of the result, if the subject is a picture.
+    /// Those of the result, if the source is an image.
     channels: Channels,
 }
 
 impl RegionDrawer {
     pub(in super::super) fn new(
-        subject: RasterSource<'_>,
+        source: RasterSource<'_>,
         region: &Region,
         mesh: &Mesh,
         options: RenderOptions,
         holes: Holes,
     ) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
-        let background = MeshRenderer::new(subject, &at_rest, options);
+        let background = MeshRenderer::new(source, &at_rest, options);
         // What is outside the moved part is not visible: the mask is 0 there.
         let moved = MeshRenderer::new(
-            subject,
+            source,
             mesh,
             RenderOptions {
                 outside: Outside::Colour([0, 0, 0, u8::MAX]),

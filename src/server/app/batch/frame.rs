@@ -163,8 +163,10 @@ impl BatchJob {
             .check(&self.object.poses, &|bytes| self.reserve(bytes), &|| {
                 cancel.is_cancelled()
             })?;
-        self.output
-            .check(self.content.subject().extent(), &self.app.plans.limits)?;
+        self.output.check(
+            self.content.raster_source().extent(),
+            &self.app.plans.limits,
+        )?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
         Ok(Survey {
@@ -232,8 +234,10 @@ impl BatchJob {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {
             self.output.canvas = CanvasSpec::Box(canvas);
-            self.output
-                .check(self.content.subject().extent(), &self.app.plans.limits)?;
+            self.output.check(
+                self.content.raster_source().extent(),
+                &self.app.plans.limits,
+            )?;
             // A frame that is smaller than all together does not cover them.
             self.force_alpha |= survey.needs_alpha && !survey.has_one_canvas;
         }

@@ -254,7 +254,7 @@ impl BlendJob {
         let (job, target, threads) = (Arc::clone(self), Arc::clone(target), app.pool().clone());
         let add = move |cancel: &Cancel| {
             let is_cancelled = || cancel.is_cancelled();
-            let RasterSource::Image(image) = content.subject() else {
+            let RasterSource::Image(image) = content.raster_source() else {
                 return Err(not_an_image());
             };
             let frame = job.images[0].extent.width();
@@ -292,7 +292,7 @@ impl BlendJob {
     ) -> Result<HeldSetup, Problem> {
         let (job, content) = (Arc::clone(self), content.clone());
         let resolve = move |cancel: &Cancel| {
-            let RasterSource::Image(image) = content.subject() else {
+            let RasterSource::Image(image) = content.raster_source() else {
                 return Err(not_an_image());
             };
             RasterSource::Image(image).check(&job.object.output)?;

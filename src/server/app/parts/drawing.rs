@@ -122,18 +122,18 @@ impl Drawing {
         let pose = || job.pose(&self.limits, is_cancelled);
         let ((posed, target), mut reservation) =
             self.reserve_and_pose(setup, &job.quota, most_halved, pose)?;
-        let subject = job.content.subject();
+        let source = job.content.raster_source();
         let bytes =
-            posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
+            posed.halved_bytes() + target.window_bytes(&posed) + source.prepared_bytes(&posed);
         self.admission.reserve_more(&mut reservation, bytes)?;
-        if subject.lacks_copies(target, &posed, &job.output) {
+        if source.lacks_copies(target, &posed, &job.output) {
             let began = Instant::now();
-            subject.make_copies(target, &posed, &job.output, is_cancelled)?;
+            source.make_copies(target, &posed, &job.output, is_cancelled)?;
             timing.reduce = began.elapsed();
             stage("reduce", began);
         }
-        let warp = RenderJob::onto(target, subject, &posed, &job.output);
-        let report = posed.into_report_on(subject, (&target, &job.output), is_cancelled)?;
+        let warp = RenderJob::onto(target, source, &posed, &job.output);
+        let report = posed.into_report_on(source, (&target, &job.output), is_cancelled)?;
         self.admission
             .reserve_more(&mut reservation, warp.work_bytes())?;
         timing.deform = began.elapsed().saturating_sub(timing.reduce);

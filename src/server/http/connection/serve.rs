@@ -36,9 +36,9 @@ use crate::http::{ops_router, router, tls_required_router};
 use crate::limits::connections::{ConnectionLimiter, ConnectionPermit};
 
 /// Maximum size of an HTTP/1.1 request head; hyper rejects a larger one.
-const HTTP1_HEAD: usize = 64 << 10;
+const HTTP1_HEAD_BYTES: usize = 64 << 10;
 /// Maximum size of an HTTP/2 header list; h2 rejects a larger one.
-const HTTP2_HEAD: u32 = 16 << 10;
+const HTTP2_HEADER_BYTES: u32 = 16 << 10;
 /// Maximum number of open streams of one HTTP/2 connection.
 const MAX_STREAMS: u32 = 64;
 /// Streams that the client has reset and that are not accepted yet; one more ends the connection
@@ -49,10 +49,10 @@ const PENDING_RESETS: usize = 20;
 const LOCAL_RESETS: usize = 1024;
 /// Bytes that an HTTP/2 client may send ahead on one stream and on all streams; they stay in memory
 /// until they are read.
-const STREAM_WINDOW: u32 = 256 << 10;
+const STREAM_WINDOW_BYTES: u32 = 256 << 10;
 const CONNECTION_WINDOW: u32 = 512 << 10;
 /// Bytes of one stream's response that may wait for the client's window.
-const STREAM_SEND: usize = 64 << 10;
+const STREAM_SEND_BYTES: usize = 64 << 10;
 /// Connections of the ops listener, in all and per address.
 const OPS_CONNECTIONS: (usize, usize) = (64, 32);
 /// The first bytes of an HTTP/2 connection (RFC 9113, section 3.4).
@@ -207,7 +207,7 @@ impl Connections {
         builder
             .timer(TokioTimer::new())
             .header_read_timeout(self.timeouts().header)
-            .max_buf_size(HTTP1_HEAD)
+            .max_buf_size(HTTP1_HEAD_BYTES)
             .keep_alive(keep_alive);
         let has_request = Arc::default();
         let connection = builder
@@ -234,10 +234,10 @@ impl Connections {
             .max_concurrent_streams(MAX_STREAMS)
             .max_pending_accept_reset_streams(PENDING_RESETS)
             .max_local_error_reset_streams(LOCAL_RESETS)
-            .max_header_list_size(HTTP2_HEAD)
-            .initial_stream_window_size(STREAM_WINDOW)
+            .max_header_list_size(HTTP2_HEADER_BYTES)
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW)
-            .max_send_buf_size(STREAM_SEND)
+            .max_send_buf_size(STREAM_SEND_BYTES)
             .keep_alive_interval(timeouts.header)
             .keep_alive_timeout(timeouts.header);
         let has_request = Arc::default();

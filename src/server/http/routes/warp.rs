@@ -1,4 +1,4 @@
-//! `POST /warp` and `POST /sessions/{id}/warp`: pictures.
+//! `POST /warp` and `POST /sessions/{id}/warp`: images.
 
 use axum::extract::{Path, Request};
 use axum::http::header::LOCATION;
@@ -25,7 +25,7 @@ const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
 /// Maximum size of a drag's JSON: a constant, and bytes per column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 
-/// A picture of an upload.
+/// Draws an upload.
 pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let keeps_session = keeps_session(request.uri().query())?;
     let formats = accept::formats(request.headers())?;
@@ -49,7 +49,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, R
     Ok(response)
 }
 
-/// A picture of a session, by `q` alone.
+/// Draws a session's image, by `q` alone.
 pub(crate) async fn session_warp(
     caller: Caller,
     Path(id): Path<String>,

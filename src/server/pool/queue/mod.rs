@@ -13,12 +13,13 @@
 //! 4. Within a key: the newest request of a session, because its user wants to see the newest pose;
 //!    otherwise the oldest.
 //!
-//! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none; and a
-//! visitor that holds one never takes the last of the others. A long
-//! job gives way between parts of its work ([`FairQueue::gives_way`]): it returns its permit when
-//! another client that has used less waits for one, and is next when that is no longer so. So what
-//! a client holds shrinks while others wait, and long requests of any number of clients delay a
-//! short one of another by a part of their work only.
+//! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none. A
+//! visitor that holds a permit never takes the last one of the workers: that is for a visitor or
+//! client that holds none. A long job gives way between parts of its work
+//! ([`FairQueue::gives_way`]): it returns its permit when another client that has used less waits
+//! for one, and is next when that is no longer so. So what a client holds shrinks while others
+//! wait, and long requests of any number of clients delay a short one of another by a part of their
+//! work only.
 //!
 //! A full queue rejects the oldest request of the longest key for a newcomer: of the client with
 //! the most waiting requests, or of the newcomer's own client; and there of the visitor with the

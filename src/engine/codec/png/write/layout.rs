@@ -15,7 +15,7 @@ use super::{Compression, PixelLayout, chunk, stored};
 const STRIP_BYTES: u64 = 512 << 10;
 
 /// Target size for `Compression::Best`, which resets its window at every strip.
-const STRIP_BEST: u64 = 1 << 20;
+const BEST_STRIP_BYTES: u64 = 1 << 20;
 
 /// Pictures with fewer filtered bytes are one strip, because sharing the work costs more than it
 /// saves.
@@ -23,7 +23,7 @@ const ONE_STRIP_BYTES: u64 = 96 << 10;
 
 /// Longest row in bytes: an IDAT chunk, and so a strip of a single row in its stored form, must
 /// stay below 2^31.
-const MAX_ROW: u64 = 1 << 30;
+const MAX_ROW_BYTES: u64 = 1 << 30;
 
 /// Strips of one picture.
 #[derive(Clone, Copy, Debug)]
@@ -38,13 +38,16 @@ impl Layout {
     /// If a row is longer than 1 GiB.
     pub(super) fn new(shape: PixelLayout, compression: Compression) -> Self {
         let row = u64::from(shape.extent.width()) * pixel_bytes(shape) as u64;
-        assert!(row <= MAX_ROW, "a row is at most {MAX_ROW} bytes: {row}");
-        let row_bytes = usize::try_from(row).expect("MAX_ROW fits an address");
+        assert!(
+            row <= MAX_ROW_BYTES,
+            "a row is at most {MAX_ROW_BYTES} bytes: {row}"
+        );
+        let row_bytes = usize::try_from(row).expect("MAX_ROW_BYTES fits an address");
         let height = shape.extent.height();
         let filtered = (row + 1) * u64::from(height);
         let aim = match compression {
             Compression::None | Compression::Fast => STRIP_BYTES,
-            Compression::Best => STRIP_BEST,
+            Compression::Best => BEST_STRIP_BYTES,
         };
         // An even number, so that two threads have equal work.
         let strips = if filtered <= ONE_STRIP_BYTES {

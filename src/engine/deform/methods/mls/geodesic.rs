@@ -55,17 +55,27 @@ struct Geodesic<'a> {
 
 impl Metric for Geodesic<'_> {
     #[inline(always)]
-    fn squared<const N: usize>(&self, index: usize, _p: Point, _v: &Vertices<N>) -> [f64; N] {
+    fn squared_of_point<const N: usize>(
+        &self,
+        index: usize,
+        _p: Point,
+        _v: &Vertices<N>,
+    ) -> [f64; N] {
         [self.points[index]; N]
     }
 
     #[inline(always)]
-    fn spread<const N: usize>(&self, index: usize, _view: &View<N>) -> [f64; N] {
+    fn squared_of_segment<const N: usize>(&self, index: usize, _view: &View<N>) -> [f64; N] {
         [self.segments[index]; N]
     }
 
     #[inline(always)]
-    fn relative<const N: usize>(&self, index: usize, view: &View<N>, r2min: &[f64; N]) -> [f64; N] {
+    fn r2min_of_segment<const N: usize>(
+        &self,
+        index: usize,
+        view: &View<N>,
+        r2min: &[f64; N],
+    ) -> [f64; N] {
         let mut relative = *r2min;
         for (relative, r2) in relative.iter_mut().zip(view.r2) {
             *relative *= r2 / self.segments[index];

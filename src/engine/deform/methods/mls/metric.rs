@@ -15,16 +15,22 @@ use crate::geometry::Point;
 pub(in crate::deform) trait Metric: Copy {
     /// The squared distances of N vertices from point number `index` of the set, which lies at `p`,
     /// px^2.
-    fn squared<const N: usize>(&self, index: usize, p: Point, v: &Vertices<N>) -> [f64; N];
+    fn squared_of_point<const N: usize>(&self, index: usize, p: Point, v: &Vertices<N>)
+    -> [f64; N];
 
     /// The squared distances of N vertices from segment number `index` of the set, px^2; `view`:
     /// where it is relative to them.
-    fn spread<const N: usize>(&self, index: usize, view: &View<N>) -> [f64; N];
+    fn squared_of_segment<const N: usize>(&self, index: usize, view: &View<N>) -> [f64; N];
 
     /// The value of r2min with which the weights of this segment's positions are computed, px^2:
     /// they use squared distances in the plane, so where the segment is farther by another metric,
     /// r2min is divided by the same factor.
-    fn relative<const N: usize>(&self, index: usize, view: &View<N>, r2min: &[f64; N]) -> [f64; N];
+    fn r2min_of_segment<const N: usize>(
+        &self,
+        index: usize,
+        view: &View<N>,
+        r2min: &[f64; N],
+    ) -> [f64; N];
 }
 
 /// The distance in the plane.
@@ -33,7 +39,12 @@ pub(in crate::deform) struct Euclidean;
 
 impl Metric for Euclidean {
     #[inline(always)]
-    fn squared<const N: usize>(&self, _index: usize, p: Point, v: &Vertices<N>) -> [f64; N] {
+    fn squared_of_point<const N: usize>(
+        &self,
+        _index: usize,
+        p: Point,
+        v: &Vertices<N>,
+    ) -> [f64; N] {
         let mut squared = [0.0; N];
         for k in 0..N {
             let (x, y) = (p.x - v.x[k], p.y - v.y[k]);
@@ -43,12 +54,12 @@ impl Metric for Euclidean {
     }
 
     #[inline(always)]
-    fn spread<const N: usize>(&self, _index: usize, view: &View<N>) -> [f64; N] {
+    fn squared_of_segment<const N: usize>(&self, _index: usize, view: &View<N>) -> [f64; N] {
         view.r2
     }
 
     #[inline(always)]
-    fn relative<const N: usize>(
+    fn r2min_of_segment<const N: usize>(
         &self,
         _index: usize,
         _view: &View<N>,

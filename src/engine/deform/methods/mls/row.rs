@@ -109,7 +109,7 @@ impl<M: Metric> RowInputs<'_, M> {
         let mut nearest = [f64::INFINITY; N];
         let points = self.sources.points.iter().zip(&mut scratch.places);
         for (index, (PointSource { p, .. }, place)) in points.enumerate() {
-            place.w = self.metric.squared(index, *p, v);
+            place.w = self.metric.squared_of_point(index, *p, v);
             lower(&mut nearest, &place.w);
         }
         let segments = self.sources.segments.iter().zip(&mut scratch.spans);
@@ -117,7 +117,10 @@ impl<M: Metric> RowInputs<'_, M> {
             span.view = View::new(s, v);
             // The whole segment counts, not its line: beyond an end that is the distance from the
             // end.
-            lower(&mut nearest, &self.metric.spread(index, &span.view));
+            lower(
+                &mut nearest,
+                &self.metric.squared_of_segment(index, &span.view),
+            );
         }
         nearest
     }
@@ -176,9 +179,9 @@ impl<M: Metric> RowInputs<'_, M> {
         {
             // A segment weighs as the integral of w along it (mathematics 3.2), and its first and
             // second moments stand for the positions along it.
-            let relative = self.metric.relative(number, view, r2min);
+            let r2min = self.metric.r2min_of_segment(number, view, r2min);
             Moments([place.w, *first, *second]) =
-                view.moments(s, v, (self.falloff, self.beta), &relative, self.exact);
+                view.moments(s, v, (self.falloff, self.beta), &r2min, self.exact);
             anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
             index += 1;
         }
