@@ -34,7 +34,8 @@ const SERVER: [(&str, &[&str]); 13] = [
     ("session", &["client"]),
     ("client", &[]),
 ];
-const CONTRACT: [(&str, &[&str]); 3] = [
+const CONTRACT: [(&str, &[&str]); 4] = [
+    ("blend", &["wire", "problem"]),
     ("wire", &["problem", "layer"]),
     ("problem", &[]),
     ("layer", &[]),

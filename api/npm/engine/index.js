@@ -3,6 +3,7 @@
 // The engine of mlswarp in the browser and in Node: plans, poses, pixels, points and files, without
 // a server. Everything but loading is synchronous.
 
+import { Blend } from "./blend.js";
 import { EngineCrashed, MlswarpError } from "./errors.js";
 import { Instance } from "./instance.js";
 import { moduleOf } from "./module.js";
@@ -21,6 +22,8 @@ export { WorkerEngine, WorkerImage, WorkerPlan, WorkerPose } from "./worker-engi
 /** @typedef {import("./pose.js").Labels} Labels */
 /** @typedef {import("./pose.js").OutputOptions} OutputOptions */
 /** @typedef {import("./pose.js").Report} Report */
+/** @typedef {import("./blend.js").BlendObject} BlendObject */
+/** @typedef {import("./blend.js").Blended} Blended */
 /**
  * @typedef {{
  *   p: Handle[], q?: Handle[], names?: string[], units: "px" | "normalized", format: string,
@@ -124,6 +127,37 @@ export class Engine {
     const instance = this.#instance;
     const [files, choice] = [[p, q].map((file) => (file ? instance.put(file) : 0)), options];
     return instance.json(instance.make("landmarks", instance.putJson(choice), ...files));
+  }
+
+  /**
+   * Brings the landmarks of all images to one shape, and adds the images, as `POST /blend`: an
+   * average, a step of a morph, a caricature (shares beyond 1), a symmetric face (`mirror`). The
+   * mean of two: `blend([a, b], { images: [{ image: 0, p }, { image: 1, p: q }] })`.
+   *
+   * @param {(Pixels | SourceImage)[]} images RGBA
+   * @param {BlendObject} blend of one result
+   * @returns {Blended}
+   */
+  blend(images, blend) {
+    const ready = new Blend(this.#instance, images, blend);
+    try {
+      if (ready.frames === 1) return ready.frame(0);
+    } finally {
+      ready.dispose();
+    }
+    throw new TypeError(`the blend has ${ready.frames} results: use blendFrames`);
+  }
+
+  /**
+   * The results of a blend one after another: `steps` from the first image to the second, or one for
+   * each share in lists. Coefficients are computed once for all of them.
+   *
+   * @param {(Pixels | SourceImage)[]} images
+   * @param {BlendObject} blend
+   * @returns {Generator<Blended, void>}
+   */
+  blendFrames(images, blend) {
+    return new Blend(this.#instance, images, blend)[Symbol.iterator]();
   }
 
   /** Bytes of its memory. It grows when it must, and never shrinks before `dispose`. */

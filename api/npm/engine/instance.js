@@ -26,6 +26,9 @@ const ABI_VERSION = 1;
  *   image(pixels: number, width: number, height: number): number,
  *   labels(values: number, width: number, height: number, bits: number): number,
  *   draw(pose: number, subject: number, warp: number): number,
+ *   blend(images: number, blend: number): number,
+ *   frames(blend: number): number,
+ *   frame(blend: number, index: number): number,
  *   points(pose: number, positions: number, isInverse: number): number,
  *   map(pose: number, isForward: number): number,
  *   mesh(pose: number): number,
@@ -115,6 +118,16 @@ export class Instance {
     if (made !== 0) return made;
     const problem = this.#call("error");
     throw new MlswarpError(problem ? this.json(problem) : { code: "internal", detail: name });
+  }
+
+  /**
+   * Calls a function that makes nothing.
+   *
+   * @param {"frames"} name
+   * @param {number} number
+   */
+  count(name, number) {
+    return this.#call(name, number);
   }
 
   /**

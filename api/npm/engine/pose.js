@@ -66,6 +66,18 @@ export class SourceImage extends Held {
   }
 }
 
+/**
+ * @param {{ width: number, height: number, bytes: Uint8Array<ArrayBuffer> }} drawn
+ * @param {PredefinedColorSpace | undefined} colorSpace
+ * @returns {DrawnPixels}
+ */
+export function pixelsOf({ width, height, bytes }, colorSpace) {
+  const space = colorSpace && { colorSpace };
+  const data = new Uint8ClampedArray(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (typeof ImageData === "undefined") return { width, height, data, ...space };
+  return new ImageData(data.slice(), width, height, space);
+}
+
 /** Handles that were moved. */
 export class Pose extends Held {
   /** @type {Report} */
@@ -120,11 +132,7 @@ export class Pose extends Held {
    */
   #draw(source, output) {
     const { width, height, bytes } = this.#drawn(inUse(source)[1], output);
-    const data = new Uint8ClampedArray(bytes.buffer, 8);
-    const { colorSpace } = source;
-    if (typeof ImageData === "undefined")
-      return { width, height, data, ...(colorSpace && { colorSpace }) };
-    return new ImageData(data.slice(), width, height, colorSpace && { colorSpace });
+    return pixelsOf({ width, height, bytes: bytes.subarray(8) }, source.colorSpace);
   }
 
   /**

@@ -310,6 +310,19 @@ export class WorkerEngine {
     return this.#calls.call(0, "landmarks", [p, q, choice], signal);
   }
 
+  /**
+   * @param {(import("./index.js").Pixels | WorkerImage)[]} images
+   * @param {import("./index.js").BlendObject} blend of one result
+   * @param {Abortable} [options]
+   * @returns {Promise<import("./index.js").Blended>}
+   */
+  blend(images, blend, { signal } = {}) {
+    const given = images.map((image) =>
+      image instanceof WorkerImage ? { heldByWorker: partsOf(image).number } : image,
+    );
+    return this.#calls.call(0, "blend", [given, blend], signal);
+  }
+
   /** Ends the worker, whatever it does. */
   dispose() {
     this.#calls.end("the engine has been disposed of");

@@ -13,7 +13,12 @@ let last = 0;
 const scope = /** @type {any} */ (globalThis);
 
 /** @type {(value: any) => any} */
-const argument = (value) => (value?.heldByWorker ? held.get(value.heldByWorker) : value);
+const argument = (value) =>
+  Array.isArray(value) && value.some((part) => part?.heldByWorker)
+    ? value.map(argument)
+    : value?.heldByWorker
+      ? held.get(value.heldByWorker)
+      : value;
 
 /**
  * What is sent for a result, and the buffers that need not be copied.

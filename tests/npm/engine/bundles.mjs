@@ -48,6 +48,10 @@ try {
     const image = new ImageData(new Uint8ClampedArray(64 * 48 * 4).fill(255), 64, 48);
     const { data } = await pose.warp(await worker.image(image));
     if (data[3] !== 0 || data[4 * 5 + 3] !== 255) throw new Error("the worker draws something else");
+    const kept = await worker.image(image);
+    const same = [0, 1].map((image) => ({ image, p: [[20, 20]] }));
+    const mean = await worker.blend([image, kept], { images: same });
+    if (mean.image.data.some((value) => value !== 255)) throw new Error("the worker blends something else");
     const refused = await worker.warpFile(picture, { p: [[1, 2]], q: 3 }).catch((error) => error);
     if (refused.code !== "bad_value" || refused.pointer !== "/q") throw refused;
     file = await worker.warpFile(picture, ${warp});

@@ -10,15 +10,17 @@
 
 #![allow(unsafe_code, reason = "exported names; nothing else is unsafe")]
 
+mod blend;
 mod file;
 mod objects;
 mod subject;
 
 use std::fmt::Write as _;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use mlswarp::warp::{Image, LabelImage, MapDirection};
 use mlswarp::{PosedWarp, Warper};
+use mlswarp_contract::blend::Blend;
 
 use objects::{Object, bytes, get, give, result, with};
 
@@ -131,7 +133,7 @@ pub extern "C" fn report(pose: u32) -> u32 {
 pub extern "C" fn image(pixels: u32, width: u32, height: u32) -> u32 {
     result(|| {
         let image = Image::from_rgba8(width, height, bytes(pixels)?);
-        Ok(Object::Image(Box::new(image?)))
+        Ok(Object::Image(Arc::new(image?)))
     })
 }
 
@@ -161,6 +163,29 @@ pub extern "C" fn draw(pose: u32, subject: u32, warp: u32) -> u32 {
         };
         drawn.map(Object::Buffer)
     })
+}
+
+/// A blend. `images`: the numbers (u32) of its images; `blend`: the object of `POST /blend`, in
+/// which every image has its number among them and its handles.
+#[unsafe(no_mangle)]
+pub extern "C" fn blend(images: u32, blend: u32) -> u32 {
+    result(|| {
+        let blend = blend::of(&bytes(images)?, &bytes(blend)?)?;
+        Ok(Object::Blend(Box::new(blend)))
+    })
+}
+
+/// The number of results of a blend.
+#[unsafe(no_mangle)]
+pub extern "C" fn frames(blend: u32) -> usize {
+    with::<Blend, _>(blend, Blend::frames).unwrap_or(0)
+}
+
+/// A buffer with width, height and the bytes of a report (u32), that report, and the RGBA bytes of a
+/// frame.
+#[unsafe(no_mangle)]
+pub extern "C" fn frame(blend: u32, index: usize) -> u32 {
+    result(|| blend::frame(&*get::<Blend>(blend)?, index).map(Object::Buffer))
 }
 
 /// A buffer with as many positions as `positions` has; NaN where nothing maps.

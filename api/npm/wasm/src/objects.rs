@@ -2,17 +2,20 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use mlswarp::warp::{Image, LabelImage};
 use mlswarp::{PosedWarp, Warper};
+use mlswarp_contract::blend::Blend;
 use mlswarp_contract::problem::{Code, Problem};
 
 /// What a number stands for.
 pub(crate) enum Object {
+    Blend(Box<Blend>),
     Buffer(Vec<u8>),
     Plan(Box<Warper>),
     Pose(Box<PosedWarp>),
-    Image(Box<Image>),
+    Image(Arc<Image>),
     Labels(Box<LabelImage>),
 }
 
@@ -42,6 +45,7 @@ kinds! {
     PosedWarp: Pose "pose",
     Image: Image "image",
     LabelImage: Labels "label image",
+    Blend: Blend "blend",
 }
 
 #[derive(Default)]
@@ -54,6 +58,16 @@ struct Objects {
 
 thread_local! {
     static OBJECTS: RefCell<Objects> = RefCell::default();
+}
+
+/// An image, shared.
+/// Errors: No such object, or one of another kind.
+pub(crate) fn image(number: u32) -> Result<Arc<Image>, Problem> {
+    let object = get::<Image>(number)?.object;
+    match &*object {
+        Object::Image(image) => Ok(Arc::clone(image)),
+        _ => unreachable!("its kind was checked"),
+    }
 }
 
 /// An object in use: it stays while it is.

@@ -32,11 +32,18 @@ export async function warped(image: ImageData): Promise<Blob> {
   const drawn = pose.warp(image, { outside: "#ff0000", canvas: "fit" });
   const x: number = pose.points([[1, 2]])[0];
   const labels: Uint16Array = pose.labels({ width: 1, height: 1, data: new Uint16Array(1) }).data;
+  const mean = engine.blend([image, image], {
+    images: [
+      { image: 0, p: [[1, 2]] },
+      { image: 1, p: [[2, 2]] },
+    ],
+  });
+  const faces: number[] = mean.folds;
   pose.dispose();
   plan.dispose();
   // A view of memory could not become part of a Blob.
   const file = engine.warpFile(new Uint8Array(0), { p: [[1, 2]], q: [[1, 2]], method: "auto" });
-  return new Blob([file, String(x), labels as Uint16Array<ArrayBuffer>, drawn.data]);
+  return new Blob([file, String(x), String(faces), labels as Uint16Array<ArrayBuffer>, drawn.data]);
 }
 
 export async function code(): Promise<string | undefined> {

@@ -88,6 +88,70 @@ test("positions go there and back, and maps and meshes agree with them", async (
   assert.ok(Math.abs(half[1] - 255) < 1e-9);
 });
 
+test("images are added, and nothing of a blend stays in memory", async () => {
+  const engine = await load();
+  const [width, height] = [60, 40];
+  const noise = (factor) => {
+    const data = Uint8ClampedArray.from(
+      { length: width * height * 4 },
+      (_, k) => (k * factor) % 251,
+    );
+    for (let k = 3; k < data.length; k += 4) data[k] = 255;
+    return { width, height, data };
+  };
+  const [one, other] = [noise(37), noise(11)];
+  const [p, q] = [
+    [
+      [10, 10],
+      [50, 12],
+      [30, 30],
+    ],
+    [
+      [14, 10],
+      [50, 16],
+      [30, 34],
+    ],
+  ];
+  const entries = (shape, colour) =>
+    [p, q].map((p, image) => ({ image, p, shape: shape[image], colour: colour[image] }));
+  const alone = engine.blend([one], { images: [{ image: 0, p }] });
+  assert.deepEqual(alone.image.data, one.data, "one image is itself");
+  assert.deepEqual([alone.landmarks, alone.clamped, alone.folds], [p, 0, [0]]);
+  // The colours of the first image in a shape half way: a warp of that image.
+  const options = { align: "none", method: "rigid", alpha: 2 };
+  const shape = engine.blend([one, other], { ...options, images: entries([0.5, 0.5], [1, 0]) });
+  const plan = engine.plan(p, { size: [width, height], method: "rigid", alpha: 2 });
+  const half = p.map(([x, y], k) => [(x + q[k][0]) / 2, (y + q[k][1]) / 2]);
+  assert.deepEqual(shape.landmarks, half);
+  assert.deepEqual(shape.image.data, plan.pose(half).warp(one).data);
+  // Colours alone, of images that are kept.
+  const kept = [one, other].map((image) => engine.image(image));
+  const same = [0, 1].map((image) => ({ image, p }));
+  const mean = engine.blend(kept, { images: same }).image.data;
+  mean.forEach((value, k) =>
+    assert.ok(Math.abs(value - (one.data[k] + other.data[k]) / 2) <= 0.5, `${k}`),
+  );
+  kept.forEach((image) => image.dispose());
+  const frames = [...engine.blendFrames([one, other], { images: same, steps: 3 })];
+  assert.deepEqual(
+    [frames[0], frames[1], frames[2]].map(({ image }) => image.data),
+    [one.data, mean, other.data],
+  );
+  assert.throws(
+    () => engine.blend([one, other], { images: same, steps: 3 }),
+    /3 results: use blendFrames/,
+  );
+  assert.throws(
+    () => engine.blend([one], { images: [{ image: 0, p, shape: 2, colour: 1 }] }),
+    (error) => error instanceof MlswarpError && error.pointer === "/images/0/shape",
+  );
+  assert.throws(() => engine.blend([], { images: [{ image: 0, p }] }), MlswarpError);
+  for (const _ of engine.blendFrames([one, other], { images: same, steps: 1000 })) break;
+  plan.dispose();
+  // Its pose was forgotten, not disposed of.
+  assert.equal(engine.objects, 1);
+});
+
 test("landmark files are read", async () => {
   const engine = await load();
   const file = new TextEncoder().encode("version: 1\nn_points: 2\n{\n10 20\n30 40\n}\n");
