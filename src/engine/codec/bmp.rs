@@ -170,7 +170,7 @@ impl<'a> BmpFile<'a> {
         self.channels
     }
 
-    /// Memory beside the picture: a row or two.
+    /// Memory beside the image: a row or two.
     pub(super) fn decoder_bytes(&self) -> u64 {
         (512 << 10)
             + 8 * u64::from(self.extent.width())

@@ -1,7 +1,7 @@
-//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's
+//! Decodes a file to an upright image. Order: header, limits, completeness of the file's
 //! structure, memory, pixels. The decoders are third-party code that reads hostile bytes, so they
 //! run with their own limits and inside `catch_unwind`: a panic there means a damaged file, not a
-//! crash. Allocations made here are fallible. Cost: one pass of the decoder; a second picture only
+//! crash. Allocations made here are fallible. Cost: one pass of the decoder; a second image only
 //! when the orientation swaps the sides.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,7 +10,7 @@ use super::probe::Parsed;
 use super::{CodecError, Header, ImageLimits, Metadata, Repairs, SourceFormat, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
-/// An upright picture, and what its file says about it.
+/// An upright image, and what its file says about it.
 #[derive(Debug)]
 pub struct Decoded {
     /// The upright pixels.
@@ -29,7 +29,7 @@ pub struct Opened<'a> {
     pub(super) work: &'a StepCounter<'a>,
 }
 
-/// Reads the header of a picture and checks it against `limits` before anything grows with the
+/// Reads the header of an image and checks it against `limits` before anything grows with the
 /// sizes that it claims; then reads the rest of what determines the memory for decoding.
 ///
 /// # Errors
@@ -90,7 +90,7 @@ impl Opened<'_> {
         self.header
     }
 
-    /// Decodes the picture.
+    /// Decodes the image.
     ///
     /// # Errors
     /// [`CodecError::Bad`] for a file that lacks pixels, whose pixels are damaged, or that makes a

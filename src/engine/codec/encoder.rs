@@ -8,7 +8,7 @@ use super::png::write::StripChecksum;
 use super::{Carried, JpegWriter, PngWriter};
 use crate::pixmap::{PixelLayout, sample_bytes};
 
-/// Encodes one picture: a head, strips in any order, a tail.
+/// Encodes one image: a head, strips in any order, a tail.
 pub(super) trait FormatEncoder: fmt::Debug + Send + Sync {
     /// Number of strips.
     fn strips(&self) -> usize;
@@ -29,7 +29,7 @@ pub(super) trait FormatEncoder: fmt::Debug + Send + Sync {
     fn head(&self) -> Vec<u8>;
 
     /// Encodes one strip and appends it. `samples: [rows][width][PixelLayout::samples]`, of 8 bit
-    /// if the format has no more, otherwise of the depth of the picture, 16-bit ones big-endian.
+    /// if the format has no more, otherwise of the depth of the image, 16-bit ones big-endian.
     /// During long strips `wanted` is called from time to time, and encoding stops when it returns
     /// false; the output is then incomplete.
     ///

@@ -1,5 +1,5 @@
 //! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks
-//! the limits on that header before memory is allocated for the picture, and [`Opened::decode`]
+//! the limits on that header before memory is allocated for the image, and [`Opened::decode`]
 //! decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a file, PNG and
 //! JPEG strip by strip in any order.
 

@@ -1,5 +1,5 @@
 //! Reads the header of a file. The first bytes determine the format, never a name. The file is
-//! walked chunk by chunk, nothing proportional to the picture is allocated, and sizes are computed
+//! walked chunk by chunk, nothing proportional to the image is allocated, and sizes are computed
 //! in u64. Callers reserve `Header::decode_bytes` before decoding.
 
 use super::metadata::Found;
@@ -12,17 +12,17 @@ use crate::pixmap::{Channels, Depth, Extent, sample_bytes};
 pub struct Header {
     /// Format by the file's first bytes.
     pub format: SourceFormat,
-    /// Size of the upright picture (EXIF orientation applied).
+    /// Size of the upright image (EXIF orientation applied).
     pub extent: Extent,
-    /// Channels of the decoded picture: RGBA if the file can hold transparency, else RGB (grey
+    /// Channels of the decoded image: RGBA if the file can hold transparency, else RGB (grey
     /// included).
     pub channels: Channels,
     /// Whether the colours of every pixel are equal, because the file stores one sample for them.
     pub grey: bool,
-    /// Depth of the decoded picture: sixteen bit for a 16-bit PNG or TIFF, else eight.
+    /// Depth of the decoded image: sixteen bit for a 16-bit PNG or TIFF, else eight.
     pub depth: Depth,
-    /// Upper bound of the memory for decoding, bytes: the picture, the decoder's planes, and the
-    /// second picture of an orientation. For a lossless WebP [`super::Opened::header`] is closer,
+    /// Upper bound of the memory for decoding, bytes: the image, the decoder's planes, and the
+    /// second image of an orientation. For a lossless WebP [`super::Opened::header`] is closer,
     /// because it has read the prefix codes.
     pub decode_bytes: u64,
 }
@@ -153,7 +153,7 @@ impl<'a> Parsed<'a> {
         } else {
             stored
         };
-        // The decoder's planes are freed before the picture is turned, so the peak is the larger of
+        // The decoder's planes are freed before the image is turned, so the peak is the larger of
         // the two, not the sum; its small blocks stay with the allocator.
         let beside = if swaps {
             decoder_bytes.max(picture.saturating_add(TURNING_SLACK))

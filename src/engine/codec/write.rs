@@ -1,4 +1,4 @@
-//! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several
+//! Writes an image in any format: head, strips in any order, tail. PNG and JPEG have several
 //! strips, rendered and encoded in parallel and sent in order; the other formats are one strip:
 //! WebP has its codes before the first pixel. Of grey pixels one sample is written, except in WebP,
 //! which has none.
@@ -13,7 +13,7 @@ use super::png::write::{PngWriter, StripChecksum};
 use super::{Carried, Encoding, Palette, gif, tiff, webp};
 use crate::pixmap::{Channels, Depth, PixelLayout};
 
-/// Writes one picture. Cheap to create and to clone.
+/// Writes one image. Cheap to create and to clone.
 #[derive(Clone, Debug)]
 pub struct Writer {
     shape: PixelLayout,
@@ -73,7 +73,7 @@ fn encoder(
 }
 
 impl Writer {
-    /// Creates a writer for one picture. A grey one becomes a file in colour if the format has no
+    /// Creates a writer for one image. A grey one becomes a file in colour if the format has no
     /// grey, or if the ground is not grey.
     ///
     /// # Panics
@@ -145,7 +145,7 @@ impl Writer {
     }
 
     /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones
-    /// big-endian; those of a grey picture are overwritten. During long strips `wanted` is called
+    /// big-endian; those of a grey image are overwritten. During long strips `wanted` is called
     /// from time to time, and encoding stops when it returns false; the output is then incomplete.
     ///
     /// # Panics
@@ -298,7 +298,7 @@ mod tests {
         }
     }
 
-    /// A smooth picture: what a lossy format keeps.
+    /// A smooth image: what a lossy format keeps.
     fn waves(extent: Extent, channels: Channels) -> Vec<u8> {
         let (w, h) = (extent.width() as usize, extent.height() as usize);
         let wave = |k: usize| {

@@ -29,9 +29,9 @@ pub enum DroppedKind {
     OmeXml,
     /// Tags of ImageJ.
     ImageJ,
-    /// A page that masks the picture.
+    /// A page that masks the image.
     Mask,
-    /// Pictures behind the picture, such as a gain map.
+    /// Images behind the image, such as a gain map.
     FurtherImages,
     /// Content credentials.
     Credentials,

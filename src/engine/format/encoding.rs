@@ -1,4 +1,4 @@
-//! How a picture is encoded in each format.
+//! How an image is encoded in each format.
 
 use super::Format;
 
@@ -17,13 +17,13 @@ pub enum Compression {
 /// The resolution of the colours of a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Subsampling {
-    /// Half of the picture's along both axes, `4:2:0`.
+    /// Half of the image's along both axes, `4:2:0`.
     Half,
-    /// The picture's, `4:4:4`.
+    /// The image's, `4:4:4`.
     Full,
 }
 
-/// The encoding of a picture.
+/// The encoding of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Lossless, 8 or 16 bit.
@@ -100,7 +100,7 @@ impl Encoding {
         }
     }
 
-    /// Whether a grey picture is written in grey: the format has it, and the ground adds no colour.
+    /// Whether a grey image is written in grey: the format has it, and the ground adds no colour.
     #[must_use]
     pub const fn is_grey(self) -> bool {
         match self {

@@ -1,9 +1,9 @@
-//! Limits of one picture, checked on the header.
+//! Limits of one image, checked on the header.
 
 use super::CodecError;
 use crate::pixmap::Extent;
 
-/// The largest picture that is accepted.
+/// The largest image that is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageLimits {
     /// Number of pixels.

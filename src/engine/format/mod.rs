@@ -1,5 +1,5 @@
 //! The file formats: names, media types, recognition by the first bytes, and the largest sides. Of
-//! GIF, single pictures are read, and animations are written; BMP is only read. Nothing is read or
+//! GIF, single images are read, and animations are written; BMP is only read. Nothing is read or
 //! written here: the module `codec` does that.
 
 mod dropped;
@@ -57,17 +57,17 @@ pub struct FormatInfo {
     pub max_side: u32,
     /// The most pixels that it can store.
     pub max_pixels: u64,
-    /// Whether every sample is stored as it is, in 8 bit or in the depth of the picture.
+    /// Whether every sample is stored as it is, in 8 bit or in the depth of the image.
     pub is_lossless: bool,
     /// Whether pixels can be transparent.
     pub has_alpha: bool,
     /// The most bits of a sample.
     pub depth: Depth,
-    /// Whether it is written strip by strip, in parallel and without the whole picture in memory.
+    /// Whether it is written strip by strip, in parallel and without the whole image in memory.
     pub streams: bool,
     /// Whether labels, indices of a palette among them, are stored as they are.
     pub keeps_labels: bool,
-    /// Whether single pictures are written, and not the frames of an animation alone.
+    /// Whether single images are written, and not the frames of an animation alone.
     pub is_of_pictures: bool,
     /// Whether a client chooses a quality.
     pub has_quality: bool,
@@ -232,13 +232,13 @@ pub fn source_extensions() -> impl Iterator<Item = &'static str> {
     written.chain([BMP.1])
 }
 
-/// The words of the formats of single pictures.
+/// The words of the formats of single images.
 pub fn words() -> impl Iterator<Item = &'static str> {
     Format::ALL.into_iter().map(|format| format.info().word)
 }
 
 impl Format {
-    /// The formats of single pictures, the default first.
+    /// The formats of single images, the default first.
     pub const ALL: [Self; 4] = [Self::Png, Self::Jpeg, Self::WebP, Self::Tiff];
 
     /// What is known of it.

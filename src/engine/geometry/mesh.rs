@@ -356,12 +356,12 @@ mod tests {
             ] {
                 assert_eq!(shifted(x, y), meets, "{columns} x {rows} by {x}, {y}");
             }
-            // The picture lies within a single cell, with no vertex in it.
+            // The image lies within a single cell, with no vertex in it.
             assert!(moved(&|p| Point::new(
                 (p.x - 51.0) * 1e4,
                 (p.y - 41.0) * 1e4
             )));
-            // Turned by 45 degrees beside a corner: its box overlaps the picture's, and it does
+            // Turned by 45 degrees beside a corner: its box overlaps the image's, and it does
             // not.
             let turned = |far: f64| {
                 moved(&|p| Point::new(far + (p.x - p.y) * 0.7, far + (p.x + p.y) * 0.7 - 63.0))

@@ -2,7 +2,7 @@
 
 use super::{Channels, Depth, Extent};
 
-/// The layout of a picture's pixels where grey takes one sample: in files and in buffers.
+/// The layout of an image's pixels where grey takes one sample: in files and in buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PixelLayout {
     /// Size.

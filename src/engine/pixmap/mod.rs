@@ -117,7 +117,7 @@ pub(crate) fn is_opaque<S: Copy + PartialEq>(rgba: &[S], most: S) -> bool {
     rgba.chunks_exact(4).all(|pixel| pixel[3] == most)
 }
 
-/// An upright picture. Shapes: samples `[height][width][channels]`, straight alpha.
+/// An upright image. Shapes: samples `[height][width][channels]`, straight alpha.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixmap {
     extent: Extent,

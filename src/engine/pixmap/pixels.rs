@@ -42,7 +42,7 @@ impl PixelFormat {
     }
 }
 
-/// Why samples are not the pixels of a picture.
+/// Why samples are not the pixels of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelError {
     /// A side of 0 px.
@@ -52,7 +52,7 @@ pub enum PixelError {
         /// Rows.
         height: u32,
     },
-    /// Another number of samples than the picture has.
+    /// Another number of samples than the image has.
     Count {
         /// Pixels in a row.
         width: u32,
@@ -127,7 +127,7 @@ impl From<&[u16]> for Samples {
     }
 }
 
-/// The size of a picture of one number for each pixel.
+/// The size of an image of one number for each pixel.
 ///
 /// # Errors
 /// A side of 0 px; another number.
@@ -145,7 +145,7 @@ pub(crate) fn extent_of(width: u32, height: u32, actual: usize) -> Result<Extent
     })
 }
 
-/// The pixels of a picture: rows without gaps, `[height][width][samples]`.
+/// The pixels of an image: rows without gaps, `[height][width][samples]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixels {
     extent: Extent,
@@ -257,7 +257,7 @@ impl Pixels {
         }
     }
 
-    /// The pixels of a picture, of which grey takes one sample.
+    /// The pixels of an image, of which grey takes one sample.
     pub(crate) fn of_pixmap(pixmap: &Pixmap, format: PixelFormat) -> Self {
         let samples = match pixmap.samples() {
             samples if !format.is_grey() => samples.clone(),
@@ -289,13 +289,13 @@ impl Pixels {
         &self.samples
     }
 
-    /// The samples without the picture.
+    /// The samples without the image.
     #[must_use]
     pub fn into_samples(self) -> Samples {
         self.samples
     }
 
-    /// The picture in RGB or RGBA, and whether its colours are grey.
+    /// The image in RGB or RGBA, and whether its colours are grey.
     pub(crate) fn into_pixmap(self) -> (Pixmap, bool) {
         let samples = match (self.samples, self.format) {
             (samples, PixelFormat::Rgb | PixelFormat::Rgba) => samples,

@@ -31,7 +31,7 @@ const fn ceil_shift(length: u32, k: u32) -> u32 {
 }
 
 impl Pixmap {
-    /// The picture box-reduced by `2^k` along both axes; `k` = 0 is the picture itself. `None` when
+    /// The image box-reduced by `2^k` along both axes; `k` = 0 is the image itself. `None` when
     /// cancelled, which is checked for each row.
     #[must_use]
     pub fn reduced(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Self> {
@@ -59,7 +59,7 @@ impl Pixmap {
     }
 }
 
-/// Memory that the samples of a picture take, bytes.
+/// Memory that the samples of an image take, bytes.
 #[must_use]
 pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
     extent

@@ -44,7 +44,7 @@ const WIDE_FRACTION_BITS: u32 = 14;
 static WEIGHTS: [[i32; 4]; POSITIONS_PER_PIXEL] = table::<NARROW_FRACTION_BITS>();
 static FINE_WEIGHTS: [[i32; 4]; POSITIONS_PER_PIXEL] = table::<WIDE_FRACTION_BITS>();
 
-/// The four neighbours along an axis, clamped to the picture, and the position between the middle
+/// The four neighbours along an axis, clamped to the image, and the position between the middle
 /// two.
 fn neighbours(coordinate: f32, side: usize) -> ([usize; 4], usize) {
     let at = fixed(coordinate, ((side - 1) * POSITIONS_PER_PIXEL) as f32);

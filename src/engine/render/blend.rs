@@ -1,13 +1,13 @@
-//! Mixes two drawn pictures by weights: straight samples in, straight samples out.
+//! Mixes two drawn images by weights: straight samples in, straight samples out.
 
 use crate::pixmap::{Channels, Depth};
 
-/// The weight 1 as a fixed-point number: that of a picture that is shown alone.
+/// The weight 1 as a fixed-point number: that of an image that is shown alone.
 pub const FULL_WEIGHT: u16 = u16::MAX;
 
 /// Mixes `over` into `under`, pixel by pixel. Weights are parts of [`FULL_WEIGHT`] and add up to at
 /// most that; what they leave is transparent. Each colour counts by its alpha times its weight, and
-/// the alpha of the result is the sum of these products. If the weight of one picture is full, the
+/// the alpha of the result is the sum of these products. If the weight of one image is full, the
 /// result is its pixel, bit for bit; if the weights add up to the full one and both pixels are
 /// equal, it is that pixel. Shapes: `under: [pixels][channels]`, `over: [pixels][over_channels]`,
 /// `weights: [pixels]` (of `over`, then of `under`); samples in PNG order (16-bit big-endian).
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn colours_count_by_alpha_and_holes_are_transparent() {
-        // Half of a transparent picture: the colour of the other one.
+        // Half of a transparent image: the colour of the other one.
         assert_eq!(
             mixed(&[10, 20, 30, 255], &[200, 200, 200, 0], 32_768, 32_767),
             [10, 20, 30, 127]

@@ -1,6 +1,6 @@
-//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if
+//! How much of each pixel the posed image covers. A pixel that no outline crosses is covered if
 //! its centre is. For the others, the area of the union of the cells in them is computed. Outlines
-//! are the border of the posed picture and the edges of folded cells: away from these, either all
+//! are the border of the posed image and the edges of folded cells: away from these, either all
 //! or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in
 //! a pixel, the area is summed over slices of 1/16 px.
 
@@ -19,7 +19,7 @@ const MAX_EXACT: usize = 64;
 /// The slices of a pixel with more triangles, or with triangles that overlap.
 const PIXEL_SLICES: u32 = 16;
 /// A pixel with more triangles is covered if its centre is. This bounds the work where a large part
-/// of the picture shrinks into one pixel.
+/// of the image shrinks into one pixel.
 const MAX_TRIANGLES: usize = 4096;
 
 /// Draws coverage in bands of rows; every division into bands gives the same bytes.
@@ -59,7 +59,7 @@ impl Coverage {
         this
     }
 
-    /// Upper bound of the memory beside that of drawing a picture, bytes.
+    /// Upper bound of the memory beside that of drawing an image, bytes.
     #[must_use]
     pub fn bytes(mesh: &Mesh) -> u64 {
         /// A displacement, a box and a third of one; of folded cells also six lines of two
@@ -195,7 +195,7 @@ impl Coverage {
             .collect()
     }
 
-    /// The border of the posed picture, and the sides and diagonals of folded cells, px of the
+    /// The border of the posed image, and the sides and diagonals of folded cells, px of the
     /// target.
     fn outlines(&self) -> Vec<[Point; 2]> {
         let mut lines = Vec::new();

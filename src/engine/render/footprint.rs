@@ -55,7 +55,7 @@ pub(super) struct AveragedSamples {
 }
 
 /// The cells in which pixels need several samples, because they shrink the source, 1 or 0,
-/// `[rows - 1][columns - 1]`; empty if there are none. `sampled`: px of the sampled picture for a
+/// `[rows - 1][columns - 1]`; empty if there are none. `sampled`: px of the sampled image for a
 /// px of the source, along each axis; `scale`: px of the target.
 pub(super) fn shrinking_cells(
     mesh: &Mesh,

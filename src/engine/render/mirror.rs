@@ -3,19 +3,19 @@
 //! outside the source, beyond the same position of its border and at a right angle to it, and is
 //! mirrored back into the source as often as necessary (`fedcba|abcdef`). Distances are measured as
 //! in the cells along the border: the posed length of their inner edges is their height at rest. At
-//! a corner of the picture, the distances beyond its two sides are those along the normals of these
+//! a corner of the image, the distances beyond its two sides are those along the normals of these
 //! sides. The result is continuous across the border and along it.
 
 use super::snapped_grid::{Corner, SnappedGrid};
 use crate::geometry::{Point, Vec2};
 
-/// The sides of the picture, clockwise from the top: the axis that leads outwards, and its sign.
+/// The sides of the image, clockwise from the top: the axis that leads outwards, and its sign.
 const OUTWARD_AXES: [(usize, f64); 4] = [(1, -1.0), (0, 1.0), (1, 1.0), (0, -1.0)];
 
 /// A segment of the border.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BorderSegment {
-    /// The side of the picture, clockwise from the top.
+    /// The side of the image, clockwise from the top.
     pub(super) side: usize,
     /// The sampler's coordinate per lattice step outwards, at both ends.
     pub(super) depth: [f64; 2],

@@ -86,7 +86,7 @@ pub enum Filter {
     Bicubic,
 }
 
-/// What fills target pixels that the posed picture does not cover.
+/// What fills target pixels that the posed image does not cover.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Outside {
     /// Transparent black.
@@ -103,7 +103,7 @@ pub enum Outside {
 }
 
 impl Outside {
-    /// Whether it adds no colour to a grey picture.
+    /// Whether it adds no colour to a grey image.
     #[must_use]
     pub fn is_grey(self) -> bool {
         match self {
@@ -117,13 +117,13 @@ impl Outside {
 /// How the mesh is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RenderOptions {
-    /// Size of the target picture; the canvas is scaled to it.
+    /// Size of the target image; the canvas is scaled to it.
     pub target: Extent,
     /// The part of the posed plane that is drawn; default the box of the source.
     pub canvas: Option<Canvas>,
     /// How the source is sampled.
     pub filter: Filter,
-    /// What fills target pixels that the posed picture does not cover.
+    /// What fills target pixels that the posed image does not cover.
     pub outside: Outside,
     /// Whether the target has alpha even if every pixel is opaque.
     pub force_alpha: bool,
@@ -175,7 +175,7 @@ impl RenderOptions {
     }
 }
 
-/// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same
+/// Draws a mesh of a source image, in bands of rows; every division into bands gives the same
 /// bytes.
 #[derive(Debug)]
 pub struct Renderer {

@@ -7,7 +7,7 @@
 use super::snapped_grid::Corner;
 use crate::geometry::{Point, Vec2};
 
-/// Largest error of drawn coordinates relative to the patch, px of the sampled picture: half of the
+/// Largest error of drawn coordinates relative to the patch, px of the sampled image: half of the
 /// contract's tolerance.
 pub(super) const PATCH_TOLERANCE_PX: f64 = 1.0 / 32.0;
 
@@ -102,7 +102,7 @@ impl Patch {
         )
     }
 
-    /// Bounds the error, px of the sampled picture, of coordinates interpolated linearly between
+    /// Bounds the error, px of the sampled image, of coordinates interpolated linearly between
     /// two border positions. Between parameters that differ by (Δs, Δt) the chord leaves the patch
     /// by at most `|Δs Δt d| / 4`, and the inverse Jacobian maps that back.
     pub(super) fn linear_error(&self, unit: f32) -> f64 {

@@ -16,7 +16,7 @@ const CELLS_PER_FOLD: usize = 24;
 /// Rows are split only if, on average, a block of cells meets at most this multiple of its share of
 /// rows.
 const MAX_ROW_SHARES: u64 = 16;
-/// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not
+/// Rows of cells lower than this at rest, px of the sampled image, and their neighbours are not
 /// classified: their columns have no direction.
 const LEAST_HEIGHT: f32 = 1.0 / 64.0;
 /// The farthest pixel at which single precision still resolves 1/256 px.
@@ -251,7 +251,7 @@ impl<'a> CellClassifier<'a> {
         (&self.lattice.x[line.clone()], &self.lattice.y[line])
     }
 
-    /// Height of a row of cells at rest, px of the sampled picture.
+    /// Height of a row of cells at rest, px of the sampled image.
     fn height(&self, j: usize) -> f32 {
         (self.lattice.v[j + 1] - self.lattice.v[j]) / self.lattice.unit
     }

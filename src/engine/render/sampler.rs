@@ -114,7 +114,7 @@ fn put_wide(value: [u16; 4], pixel: &mut [u8]) {
     }
 }
 
-/// A picture's samples as pixels.
+/// An image's samples as pixels.
 struct Texels<'a, S> {
     samples: &'a [S],
     width: usize,
@@ -218,7 +218,7 @@ impl Sample for u16 {
     const OPAQUE: Self = Self::MAX;
 }
 
-/// The bytes of a pixel outside the posed picture if it has one colour; as many as a target pixel
+/// The bytes of a pixel outside the posed image if it has one colour; as many as a target pixel
 /// has.
 pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     let colour = match outside {
@@ -288,7 +288,7 @@ fn put_samples(pixmap: &Pixmap, samples: Range<usize>, out: &mut [u8]) {
     }
 }
 
-/// Whether a canvas lies in a picture of this size.
+/// Whether a canvas lies in an image of this size.
 pub(super) fn covers(picture: Extent, canvas: Canvas) -> bool {
     let within = |at: i32, length: u32, side: u32| {
         at >= 0 && i64::from(at) + i64::from(length) <= i64::from(side)

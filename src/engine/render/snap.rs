@@ -15,7 +15,7 @@ use super::subdivided_cells::SnappedSubdividedCells;
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;
 
-/// The largest extent of a cell that is drawn in f32, px of the sampled picture along either axis.
+/// The largest extent of a cell that is drawn in f32, px of the sampled image along either axis.
 const WIDEST_CELL_PX: f32 = 1024.0;
 
 /// The share of the renderer's tolerance that column crossings may use; the rest is for snapping.
@@ -65,7 +65,7 @@ impl SamplerCoordinates for Axes {
 }
 
 impl SnappedGrid {
-    /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by
+    /// Poses and snaps `mesh`; `source` is the full source image, sampled at a reduction by
     /// `2^k`. `scale`: px of the target per px of the source; `origin`: the position of the window
     /// that is drawn, px of the source.
     pub(super) fn new(

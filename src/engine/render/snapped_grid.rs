@@ -31,11 +31,11 @@ pub(super) struct SnappedGrid {
     pub(super) u: Vec<f32>,
     /// The sampler's coordinate of each row.
     pub(super) v: Vec<f32>,
-    /// Growth of the sampler's coordinates per px of the sampled picture.
+    /// Growth of the sampler's coordinates per px of the sampled image.
     pub(super) unit: f32,
     /// Cells with longer sides are drawn in double precision, lattice steps.
     pub(super) longest_side: i32,
-    /// Largest error of column crossings relative to the patch, px of the sampled picture.
+    /// Largest error of column crossings relative to the patch, px of the sampled image.
     pub(super) crossing_error: f32,
     /// The y that each row of cells reaches.
     pub(super) row_ranges: Vec<YRange>,

@@ -1,4 +1,4 @@
-//! What a request draws: the picture of a session, one of its layers, the coverage or the holes;
+//! What a request draws: the image of a session, one of its layers, the coverage or the holes;
 //! and the mask of the region that moves.
 //!
 //! [`Images`] makes it in two steps, so that a slow store blocks no worker: `fetch` reads the files
@@ -36,7 +36,7 @@ pub(crate) struct Mask {
     _image: Arc<CacheEntry<Image>>,
 }
 
-/// What a request draws, and the region whose content moves if it is not the whole picture.
+/// What a request draws, and the region whose content moves if it is not the whole image.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnContent {
     pub(crate) drawable: Drawable,
@@ -65,7 +65,7 @@ impl Mask {
 }
 
 impl DrawnContent {
-    /// A picture, and the mask of what moves.
+    /// An image, and the mask of what moves.
     pub(crate) fn image(
         image: Arc<CacheEntry<Image>>,
         mask: Option<Arc<CacheEntry<Image>>>,
@@ -97,7 +97,7 @@ impl DrawnContent {
         }
     }
 
-    /// The region whose content moves, if it is not the whole picture.
+    /// The region whose content moves, if it is not the whole image.
     pub(crate) fn region(&self) -> Option<&Region> {
         self.mask.as_ref().map(|mask| &mask.region)
     }
@@ -189,7 +189,7 @@ pub(crate) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, Stor
     })
 }
 
-/// Checks that a layer or region has the size of its picture.
+/// Checks that a layer or region has the size of its image.
 pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
     if found == expected {
         return Ok(());

@@ -32,7 +32,7 @@ const OUTLIER_TEXT: usize = 5;
 /// The JSON of the response, and the warnings of the points.
 type ComparedFit = (Bytes, Vec<Warning>);
 
-/// The points at rest, and the size of their picture.
+/// The points at rest, and the size of their image.
 enum FitRest {
     Request(Box<Held<(RestSpec, Extent)>>),
     Session(Arc<Record>),

@@ -1,4 +1,4 @@
-//! Layers of a session: further pictures, stored and deleted with it, and warped through its plan.
+//! Layers of a session: further images, stored and deleted with it, and warped through its plan.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub(crate) struct LayerPut {
 }
 
 /// Stores a layer, or replaces the one of that name, after its file has been decoded. `session`: as
-/// it was read. Errors: A wrong file, another size than the session's picture, too many layers, or
+/// it was read. Errors: A wrong file, another size than the session's image, too many layers, or
 /// too little capacity.
 pub(crate) async fn put(
     app: &App,

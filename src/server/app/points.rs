@@ -35,7 +35,7 @@ const MAX_SEQUENTIAL: usize = 4096;
 pub(crate) struct MappedFile {
     /// Those of the handles, and of the annotations.
     pub(crate) warnings: Vec<Warning>,
-    /// The part of the plane that the picture shows, if it is not the box of the source.
+    /// The part of the plane that the image shows, if it is not the box of the source.
     pub(crate) canvas: Option<Canvas>,
     /// The method that was chosen if that was requested, as a header shows it.
     pub(crate) method: Option<String>,
@@ -125,7 +125,7 @@ impl MappingJob {
     }
 }
 
-/// What is mapped, before it is known where the picture lies.
+/// What is mapped, before it is known where the image lies.
 struct PointsJob {
     client: Client,
     setup: HeldSetup,
@@ -256,7 +256,7 @@ pub(crate) async fn of_session(
     map_points(app, &ticket, job).await
 }
 
-/// Finds the picture, and maps the first part.
+/// Finds the image, and maps the first part.
 async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
     let PointsJob {
         client,

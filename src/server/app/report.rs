@@ -38,7 +38,7 @@ struct ReportJob {
     output: OutputSpec,
     /// Has the region that moves, if the canvas depends on it.
     region: Option<DrawnContent>,
-    /// What would be drawn, if the request is about a picture.
+    /// What would be drawn, if the request is about an image.
     drawn: Option<DrawnContent>,
 }
 

@@ -27,7 +27,7 @@ pub(crate) struct Resolved {
     /// How q was aligned, if that was requested.
     pub(crate) alignment: Option<Alignment>,
     pub(crate) setup: HeldSetup,
-    /// The files of an upload: the picture's, and the mask's of a region.
+    /// The files of an upload: the image's, and the mask's of a region.
     pub(crate) files: Vec<NamedFile>,
 }
 

@@ -230,7 +230,7 @@ async fn try_replace_handles(
         setup,
         ..
     } = ticket.run(settle).await??;
-    // A picture that is not in memory is looked at when it is drawn.
+    // An image that is not in memory is looked at when it is drawn.
     let image = CacheKey::new(old.id.owner(), old.image);
     if let Some(image) = app.images.images.peek(image) {
         RasterSource::Image(&image).check(&object.output)?;
@@ -497,7 +497,7 @@ mod tests {
             )
         };
         let (shown, _) = open(3).await.unwrap();
-        // The picture stays decoded.
+        // The image stays decoded.
         let _used = app
             .images
             .images

@@ -32,7 +32,7 @@ pub struct Upload {
     pub(crate) image: Bytes,
     /// The warp object.
     pub(crate) warp: Bytes,
-    /// The mask of what moves, if it is not the whole picture.
+    /// The mask of what moves, if it is not the whole image.
     pub(crate) region: Option<Bytes>,
     /// The handles, if they are in landmark files.
     pub(crate) landmarks: Option<Held<Landmarks>>,

@@ -1,4 +1,4 @@
-//! `POST /warp`: one picture of an image and a warp object.
+//! `POST /warp`: draws an uploaded image by a warp object.
 
 use super::App;
 use super::draw::Drawn;

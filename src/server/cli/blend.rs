@@ -124,7 +124,7 @@ enum Kind {
     Frames(FramesOutput),
 }
 
-/// Errors: An end of a name that is not known, or of a format that has one picture for several.
+/// Errors: An end of a name that is not known, or of a format that has one image for several.
 fn kind_of(out: &Path, frames: usize, merged: &Merged) -> Result<Kind, Failure> {
     let is_directory = output::is_directory(out);
     let is_stream = is_stdio(out) || out.exists() && !out.is_file() && !is_directory;

@@ -73,7 +73,7 @@ pub(super) fn with_summary(what: String, more: Option<String>) -> String {
     more.map_or(what.clone(), |more| format!("{what}, {more}"))
 }
 
-/// The format of the pictures, and how they become JPEG. A wrong name is left to its parser.
+/// The format of the images, and how they become JPEG. A wrong name is left to its parser.
 pub(super) fn format_of(kind: FramesOutput, merged: &Merged) -> (Format, &'static str) {
     let output: Value = merged
         .value("output")

@@ -1,6 +1,6 @@
 //! The memory budget. Memory whose size depends on clients is reserved by its predicted size before
 //! it is allocated, and released when it is dropped: uploads, the files of sessions, decoded
-//! pictures, plans, responses, sockets. Not counted are the program (some 15 MiB), stacks, and
+//! images, plans, responses, sockets. Not counted are the program (some 15 MiB), stacks, and
 //! buffers of a few KiB per request.
 //!
 //! Frames may use all of the budget, other purposes only a part, so that drags continue when
@@ -25,7 +25,7 @@ const RETRY_SECONDS: u32 = 2;
 pub enum MemoryClass {
     /// Files and JSON of requests, and the files that sessions in memory keep.
     Upload,
-    /// Decoded pictures, and the files of sessions that are decoded again.
+    /// Decoded images, and the files of sessions that are decoded again.
     Image,
     /// Tables of coefficients.
     Plan,

@@ -26,7 +26,7 @@ pub(crate) struct Metrics {
     stages: [Histogram; 7],
     pub(crate) pictures_begun: Counter,
     pub(crate) pictures_finished: Counter,
-    /// Pictures given up because the client had left.
+    /// Images given up because the client had left.
     pub(crate) pictures_abandoned: Counter,
     /// Requests answered 409 because a newer pose had been seen.
     pub(crate) requests_superseded: Counter,

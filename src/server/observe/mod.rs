@@ -1,4 +1,4 @@
-//! Observability: log lines on standard error, metrics, and traces. None of them holds picture
+//! Observability: log lines on standard error, metrics, and traces. None of them holds image
 //! data, session ids, keys or paths.
 
 pub(crate) mod log_format;

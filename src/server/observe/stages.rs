@@ -1,4 +1,4 @@
-//! Durations of the stages of a picture, as `Server-Timing` and the metrics report them.
+//! Durations of the stages of an image, as `Server-Timing` and the metrics report them.
 
 use std::time::Duration;
 

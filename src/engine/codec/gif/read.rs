@@ -205,7 +205,7 @@ impl<'a> GifFile<'a> {
         }
     }
 
-    /// Memory beside the picture: the decoder's tables, and rows of indices.
+    /// Memory beside the image: the decoder's tables, and rows of indices.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let copy = if self.open.is_some() {
             self.bytes.len() as u64 + 2

@@ -1,9 +1,9 @@
 //! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header;
-//! `zune-jpeg` decodes baseline and progressive Huffman pictures of 8 bit to RGB. Decoders fill
+//! `zune-jpeg` decodes baseline and progressive Huffman images of 8 bit to RGB. Decoders fill
 //! missing data with grey, so completeness is checked here: behind the data come one-bits and the
 //! marker EOI. No Huffman code consists of ones alone (T.81, annex C), so a truncated scan meets an
 //! invalid code instead of zeros. A file without EOI is read if its scans state every bit of every
-//! coefficient, and if the picture is the same whether ones or zeros follow. Cost: one copy of the
+//! coefficient, and if the image is the same whether ones or zeros follow. Cost: one copy of the
 //! file; without EOI, the work of decoding twice.
 
 use std::ops::Range;
@@ -177,8 +177,8 @@ impl<'a> JpegFile<'a> {
         })
     }
 
-    /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a
-    /// progressive picture, and some rows of MCUs before and after upsampling.
+    /// Memory beside the image: the copy of the file, the coefficients of all blocks of a
+    /// progressive image, and some rows of MCUs before and after upsampling.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let coefficients = if self.progressive {
             2 * 64 * self.padded_blocks()
@@ -234,7 +234,7 @@ impl<'a> JpegFile<'a> {
                 let segment = match MarkerSegment::at(self.bytes, at, work) {
                     Ok(segment) => segment,
                     Err(CodecError::Cancelled) => return Err(CodecError::Cancelled),
-                    // Behind the last scan that a picture needs, nothing is missing but the mark of
+                    // Behind the last scan that an image needs, nothing is missing but the mark of
                     // the end.
                     Err(error) if self.progressive && !precision.is_full() => return Err(error),
                     Err(_) => {
@@ -311,7 +311,7 @@ impl<'a> JpegFile<'a> {
         }
         let mut whole = self.needed(&scans, work)?;
         let length = whole.len();
-        // The decoder looks for the marker directly behind the first scan of a progressive picture,
+        // The decoder looks for the marker directly behind the first scan of a progressive image,
         // where ones would hide it.
         if !(self.progressive && scans.count == 1) {
             whole.extend_from_slice(&[0xFF, 0].repeat(PADDING_BYTES));
@@ -401,7 +401,7 @@ impl<'a> JpegFile<'a> {
     }
 }
 
-/// Sums samples, to compare two pictures in the memory of one.
+/// Sums samples, to compare two images in the memory of one.
 fn checksum(samples: &[u8], work: &StepCounter<'_>) -> Result<u32, CodecError> {
     const PIECE: usize = 1 << 22;
     let mut sum = crc32fast::Hasher::new();

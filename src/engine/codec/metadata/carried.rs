@@ -32,7 +32,7 @@ pub struct Carried {
 }
 
 impl Carried {
-    /// Those of a picture of `target` pixels that shows `canvas` pixels of the source.
+    /// Those of an image of `target` pixels that shows `canvas` pixels of the source.
     #[must_use]
     pub fn new(source: &Arc<Metadata>, target: Extent, canvas: Extent) -> Self {
         let resolution = source

@@ -1,7 +1,7 @@
 //! EXIF (2.32, section 4.6; 3.0): what a file says about its making, kept tag by tag. Left out is
 //! what describes the stored pixels and would be wrong of others: orientation, size, thumbnail,
 //! subject area; and the resolution, which the writers state again. Maker's notes stay at their
-//! place in the block, because many have offsets from its beginning; those with a picture in them
+//! place in the block, because many have offsets from its beginning; those with an image in them
 //! are dropped. Memory: at most [`MOST_BYTES`], whatever the directories claim, and as much work.
 
 use std::borrow::Cow;

@@ -1,6 +1,6 @@
-//! What a file says about its picture beside the pixels: resolution, colour, EXIF, XMP, texts. A
+//! What a file says about its image beside the pixels: resolution, colour, EXIF, XMP, texts. A
 //! reader collects it as slices of the file ([`Found`]); [`Metadata`] is what is kept, with the
-//! memory of a picture; [`Carried`] is that of one output. What an output cannot hold is named
+//! memory of an image; [`Carried`] is that of one output. What an output cannot hold is named
 //! ([`Dropped`]). Memory: at most [`METADATA_BYTES`] beside the profile.
 
 mod carried;
@@ -94,7 +94,7 @@ pub struct Metadata {
 
 impl Metadata {
     /// Keeps what was found. `icc`: whether the file has a profile, and the one that is kept;
-    /// `swaps`: whether the upright picture has the sides of the stored one swapped.
+    /// `swaps`: whether the upright image has the sides of the stored one swapped.
     ///
     /// # Errors
     /// [`CodecError::Cancelled`].
@@ -147,7 +147,7 @@ impl Metadata {
         })
     }
 
-    /// Pixels per unit of length of the upright picture.
+    /// Pixels per unit of length of the upright image.
     #[must_use]
     pub const fn resolution(&self) -> Option<Resolution> {
         self.resolution

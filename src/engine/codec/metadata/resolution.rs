@@ -1,4 +1,4 @@
-//! The resolution of a picture: pixels per unit of length along both axes, as exact ratios, so that
+//! The resolution of an image: pixels per unit of length along both axes, as exact ratios, so that
 //! a number that a file does not change is the same in the next file.
 
 use crate::pixmap::Extent;
@@ -137,7 +137,7 @@ impl Resolution {
         (unit != ResolutionUnit::Unknown || (x, y) != (1, 1)).then_some(this)
     }
 
-    /// That of the picture with its sides swapped.
+    /// That of the image with its sides swapped.
     #[must_use]
     pub const fn swapped(self) -> Self {
         Self {
@@ -147,7 +147,7 @@ impl Resolution {
         }
     }
 
-    /// That of a picture of `target` pixels which shows `canvas` pixels of this one; `None` beyond
+    /// That of an image of `target` pixels which shows `canvas` pixels of this one; `None` beyond
     /// the range.
     #[must_use]
     pub fn scaled(self, target: Extent, canvas: Extent) -> Option<Self> {

@@ -11,7 +11,7 @@ use crate::codec::{CodecError, StepCounter};
 const FIRST_PRIVATE_TAG: u16 = 32_768;
 
 /// Collects what is kept, and names what is not; the second result is the colour profile.
-/// `has_mask`: whether another page masks the picture.
+/// `has_mask`: whether another page masks the image.
 pub(super) fn found<'a>(
     page: Directory<'a>,
     has_mask: bool,

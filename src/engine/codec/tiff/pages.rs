@@ -4,7 +4,7 @@ use crate::codec::ifd::read::{Directory, File, bad};
 use crate::codec::orientation::ExifOrientation;
 use crate::codec::{CodecError, StepCounter};
 
-/// Directories of a file; more are a loop, or nothing that a picture needs.
+/// Directories of a file; more are a loop, or nothing that an image needs.
 const MOST_DIRECTORIES: u32 = 4096;
 
 /// What a directory is: bit 0 marks a copy in less detail, bit 2 a mask.
@@ -48,7 +48,7 @@ pub(super) fn only_page<'a>(
                     limit: 1,
                     actual: pages,
                 }),
-                // Raw files of cameras: the first directory is a preview, the picture is below it.
+                // Raw files of cameras: the first directory is a preview, the image is below it.
                 (None, _) if first.values(SUB_DIRECTORIES, work)?.is_some() => Err(unsupported(
                     "that holds a preview, with the picture in a subdirectory, like the raw files \
                         of cameras",

@@ -5,7 +5,7 @@ use crate::codec::ifd::read::{Directory, Values, bad};
 use crate::codec::{CodecError, StepCounter};
 use crate::pixmap::Extent;
 
-/// Additional width of a tile beyond twice the picture's, and height of one of JPEG, which is
+/// Additional width of a tile beyond twice the image's, and height of one of JPEG, which is
 /// decoded as a whole.
 const FREE_TILE: u64 = 4096;
 

@@ -2,8 +2,8 @@
 //! or tiles, interleaved or in planes, not compressed or with LZW, deflate, PackBits, CCITT group 4
 //! or JPEG. The directory is read in place; rows are decoded one at a time (JPEG: a strip or tile).
 //! Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, 16 bit stays 16 bit, and premultiplied
-//! alpha is divided out. A picture has no samples that are neither colour nor alpha: such files are
-//! refused, never reduced. Memory: the picture and a few rows; work: in proportion to the picture
+//! alpha is divided out. An image has no samples that are neither colour nor alpha: such files are
+//! refused, never reduced. Memory: the image and a few rows; work: in proportion to the image
 //! and the file.
 
 use super::data::TiffCompression;
@@ -257,7 +257,7 @@ impl<'a> TiffFile<'a> {
         (u64::from(self.parts.width) * self.interleaved() as u64 * u64::from(self.bits)).div_ceil(8)
     }
 
-    /// Memory beside the picture: the decoders' windows, and a row as stored and as samples of up
+    /// Memory beside the image: the decoders' windows, and a row as stored and as samples of up
     /// to two bytes, or the changes of four lines of group 4; of JPEG a strip or tile as RGB, its
     /// data three times, and rows of its blocks.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
@@ -347,7 +347,7 @@ fn is_signed(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<bool, Codec
 }
 
 /// The alpha of pixels with this number of stored samples, and of colours among them. Other samples
-/// have no place in a picture.
+/// have no place in an image.
 fn alpha_of(
     page: &Directory<'_>,
     colour: Photometric,
@@ -359,7 +359,7 @@ fn alpha_of(
         page.values(338, work)?.and_then(|kinds| kinds.get(0)),
     ) {
         (0, _) => Ok(None),
-        // Writers that leave the tag out mean a picture with alpha; two samples without it are as
+        // Writers that leave the tag out mean an image with alpha; two samples without it are as
         // often two channels of a microscope.
         (1, None) if matches!(colour, Photometric::Rgb) => Ok(Some(Alpha {
             is_premultiplied: false,

@@ -60,8 +60,8 @@ impl<'a> TiffFile<'a> {
             .ok_or_else(cut_off)
     }
 
-    /// Checks that the parts are there, that they can hold the picture, and that they are not the
-    /// same bytes again and again, so that the work is in proportion to the file and the picture.
+    /// Checks that the parts are there, that they can hold the image, and that they are not the
+    /// same bytes again and again, so that the work is in proportion to the file and the image.
     pub(super) fn weigh_data(&self, work: &StepCounter<'_>) -> Result<(), CodecError> {
         let parts = self.parts_of_plane() * self.planes() as u64;
         if parts > self.parts.offsets.len() as u64 {

@@ -1,5 +1,5 @@
 //! Writes the bitstream of a lossless WebP (RFC 9649, section 3): two transforms for the whole
-//! picture (the green is subtracted from the other colours, and each pixel from the one below it),
+//! image (the green is subtracted from the other colours, and each pixel from the one below it),
 //! one prefix code a channel, and runs of equal residuals. No colour cache, no search for matches,
 //! one group of codes.
 //!
@@ -70,7 +70,7 @@ fn put_head(extent: Extent, channels: Channels, bits: &mut BitWriter, out: &mut 
     bits.put(out, 1, 1);
     bits.put(out, 2, 2);
     // A transform follows: 0 predicts, in blocks of 512 x 512, each of which names its predictor
-    // in a small picture. That has no colour cache, and one symbol a channel.
+    // in a small image. That has no colour cache, and one symbol a channel.
     bits.put(out, 1, 1);
     bits.put(out, 0, 2);
     bits.put(out, 7, 3);
@@ -83,7 +83,7 @@ fn put_head(extent: Extent, channels: Channels, bits: &mut BitWriter, out: &mut 
     bits.put(out, 0, 3);
 }
 
-/// Predicts the rows one after another. Returns false if the picture is no longer wanted.
+/// Predicts the rows one after another. Returns false if the image is no longer wanted.
 fn each_residual_row(
     extent: Extent,
     channels: Channels,

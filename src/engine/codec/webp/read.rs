@@ -85,7 +85,7 @@ impl<'a> Chunks<'a> {
             let size = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
             let size = usize::try_from(size).map_err(|_| bad("a chunk longer than memory"))?;
             let Some(data) = behind.get(..size) else {
-                // Behind the picture, only what no pixel needs may be cut off.
+                // Behind the image, only what no pixel needs may be cut off.
                 let has_picture = found.vp8.or(found.vp8l).or(found.frame).is_some();
                 found.is_open = has_picture && &head[..4] == b"XMP ";
                 return if found.is_open {
@@ -253,7 +253,7 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Memory beside the picture: the copy of the frame (for VP8 its partitions twice more); for
+    /// Memory beside the image: the copy of the frame (for VP8 its partitions twice more); for
     /// VP8 its planes (3/2 bytes per pixel of whole macroblocks, and a record of each); for ALPH
     /// its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up to three
     /// quarter-size images of transforms and code groups, and the tables of its codes.

@@ -1,7 +1,7 @@
 //! Bounds the memory of a lossless WebP stream's prefix codes (RFC 9649, section 3), which a
 //! decoder builds before the first pixel. A stream may hold 65,536 groups of five codes whatever
-//! the size of its picture, and eight bytes of it can describe a code whose tables take 70 KiB: a
-//! file of 672 kB took 3.6 GB. This module reads the stream up to its picture without building
+//! the size of its image, and eight bytes of it can describe a code whose tables take 70 KiB: a
+//! file of 672 kB took 3.6 GB. This module reads the stream up to its image without building
 //! anything: it skips the images of the transforms symbol by symbol (their number of bits does not
 //! depend on the pixels), takes the number of groups from the largest literal of the entropy image,
 //! and computes table sizes from the code lengths. Cost: at most a fixed number of steps per bit
@@ -14,7 +14,7 @@ use crate::codec::{CodecError, Format};
 /// Larger tables are refused. Encoders stay far below: libwebp makes at most 2,600 groups of about
 /// 20 KiB.
 const MAX_CODE_BYTES: u64 = 128 << 20;
-/// Tables for a picture of any size: eight groups of the largest codes.
+/// Tables for an image of any size: eight groups of the largest codes.
 const FREE_CODE_BYTES: u64 = 1 << 20;
 /// Larger tables per pixel are refused. A code of n bits pays off only for as many pixels as the
 /// n-th Fibonacci number, so a table of 1024 entries of 4 bytes stands for at least 89 pixels, and
@@ -441,7 +441,7 @@ mod tests {
         assert!((69_000..72_000).contains(&each), "{each}");
         assert!(bomb(65_536).len() < 800_000);
         assert!(matches!(of(65_536), Err(CodecError::Bad { .. })));
-        // A picture of 16 pixels needs fewer.
+        // An image of 16 pixels needs fewer.
         assert!(weight(&bomb(10), most_code_bytes(16)).is_ok());
         assert!(matches!(
             weight(&bomb(20), most_code_bytes(16)),

@@ -1,4 +1,4 @@
-//! Writes WebP files (RFC 9649, section 2): whole pictures, lossless.
+//! Writes WebP files (RFC 9649, section 2): whole images, lossless.
 
 use super::encode::encode;
 use crate::codec::{Carried, Profile};
@@ -23,7 +23,7 @@ pub(in crate::codec) fn write(
     };
     let start = out.len();
     out.extend_from_slice(b"RIFF\0\0\0\0WEBP");
-    // A file with metadata says so first; one without has the picture alone.
+    // A file with metadata says so first; one without has the image alone.
     let found = [(profile, 1 << 5), (&exif[..], 1 << 3), (xmp, 1 << 2)];
     if found.iter().any(|(bytes, _)| !bytes.is_empty()) {
         let mut flags = u32::from(channels == Channels::Rgba) << 4;

@@ -1,11 +1,11 @@
-//! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides
+//! The border of the posed image: the closed polygon of the grid's outer vertices. Decides
 //! without drawing whether the target is covered, and finds the border position nearest to each
 //! uncovered pixel for `Outside::Edge`. Lattice steps in, sampler coordinates out.
 //!
 //! Each square of pixels has a list of candidate segments: those no farther from its centre than
 //! the nearest one plus the square's diagonal. The lists of the largest squares come from a binary
 //! tree of boxes over consecutive segments; smaller squares filter the list of the square around
-//! them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is
+//! them. A border that crosses the image back and forth, with boxes that overlap everywhere, is
 //! therefore searched once per square and not once per pixel. The work is bounded for every border,
 //! because list lengths are ([`SQUARE_SIZES`]).
 
@@ -69,7 +69,7 @@ impl Border {
     }
 
     /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets
-    /// the rectangle of the centres, and the polygon winds around it. The picture's map then has
+    /// the rectangle of the centres, and the polygon winds around it. The image's map then has
     /// the same non-zero degree on the whole rectangle, so every centre is covered.
     pub(super) fn surrounds(&self, columns: &Range<usize>, rows: &Range<u32>) -> bool {
         let centre = |pixel: i64| pixel * i64::from(STEPS_PER_PX) + i64::from(HALF_PX);

@@ -199,7 +199,7 @@ impl Drawing {
         self.window.columns.end
     }
 
-    /// Whether uncovered pixels show the picture's edge, or what is mirrored there; a cut grid has
+    /// Whether uncovered pixels show the image's edge, or what is mirrored there; a cut grid has
     /// no such edge.
     fn is_extended(&self) -> bool {
         !self.covered
@@ -372,7 +372,7 @@ impl Drawing {
                 &mut raster,
             );
         }
-        // From the last cell back and into uncovered pixels only: the same picture, without
+        // From the last cell back and into uncovered pixels only: the same image, without
         // repeated work where cells overlap.
         (raster.over, raster.open) = (false, divided);
         if let Some(order) = &self.lattice.order {

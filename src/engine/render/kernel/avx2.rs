@@ -328,7 +328,7 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
             locate(packed, u, v, places);
         }
         for (places, out) in places.iter().zip(out.chunks_exact_mut(LANES * CHANNELS)) {
-            // SAFETY: the places are in the picture, as `locate` makes them; `out` has room for a
+            // SAFETY: the places are in the image, as `locate` makes them; `out` has room for a
             // group.
             unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, places), out.as_mut_ptr()) };
         }
@@ -354,7 +354,7 @@ struct Places {
     fractions: [u32; LANES],
 }
 
-/// Sampling positions of eight pixels, clamped to the picture.
+/// Sampling positions of eight pixels, clamped to the image.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Places) {

@@ -20,7 +20,7 @@ use crate::render::source::{Packed, STORED_ZERO};
 /// Rounding term of a weighted sum of samples before 14 bits are dropped.
 pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
 
-/// U of a coordinate: clamped to the picture, then truncated. NaN becomes 0.
+/// U of a coordinate: clamped to the image, then truncated. NaN becomes 0.
 #[inline(always)]
 pub(in crate::render) fn fixed(coordinate: f32, last: f32) -> usize {
     let coordinate = if coordinate > 0.0 { coordinate } else { 0.0 };

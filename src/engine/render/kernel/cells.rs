@@ -119,7 +119,7 @@ pub(super) struct Root {
     pub(super) sign: f32,
 }
 
-/// Largest error of `Near`, px of the sampled picture, times 16.
+/// Largest error of `Near`, px of the sampled image, times 16.
 const NEAR_ERROR: f32 = 16.0 / 64.0;
 /// The smallest squared sine between sides that single precision can use.
 const NARROWEST_SQUARED_SINE: f32 = 1e-6;

@@ -24,7 +24,7 @@ const FULL_SHRINKING: f32 = 2.0;
 const LONGEST_SIDE_PX: f32 = 64.0;
 /// Most samples of a pixel.
 pub(in crate::render) const MAX_FOOTPRINT_SAMPLES: usize = 16;
-/// Largest distance of samples, px of the picture from which they are read.
+/// Largest distance of samples, px of the image from which they are read.
 const MAX_SAMPLE_DISTANCE_PX: f32 = 1.5;
 /// Pixels that are looked at together.
 pub(in crate::render) const GROUP_PIXELS: usize = 64;
@@ -59,7 +59,7 @@ pub(in crate::render) struct FootprintGrid {
 #[derive(Debug, Default)]
 pub(in crate::render) struct FootprintBatch {
     /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the
-    /// picture itself, then the others.
+    /// image itself, then the others.
     pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
     /// Kept, because zeroing it costs as much as a pass.
     lanes: Box<FootprintArrays>,
@@ -123,7 +123,7 @@ impl Alike {
 }
 
 /// The shrinking up to which a footprint certainly needs one sample, where a px of the target is
-/// `scale` px of the sampled picture: the root of `scale x (x - POINT_SHRINKING) / (FULL_SHRINKING
+/// `scale` px of the sampled image: the root of `scale x (x - POINT_SHRINKING) / (FULL_SHRINKING
 /// - POINT_SHRINKING) = MAX_SAMPLE_DISTANCE_PX`, less a margin for rounding.
 pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     let share = MAX_SAMPLE_DISTANCE_PX * (FULL_SHRINKING - POINT_SHRINKING) / scale;
@@ -178,7 +178,7 @@ pub(super) fn footprints(
         return;
     }
     // Jacobians are known at vertices and mixed in between: constant ones in each cell would show
-    // its edges in a picture that is made smaller.
+    // its edges in an image that is made smaller.
     for (mixed, k) in mixed.iter_mut().zip(&pixels[..count]) {
         let at = cells[*k] as usize;
         let top: &[[f32; 4]; 2] = grid.jacobians[at..]

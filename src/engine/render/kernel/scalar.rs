@@ -75,11 +75,11 @@ pub(in crate::render) struct CellRow<'a> {
     pub(in crate::render) bottom: (&'a [i32], &'a [i32]),
     /// The sampler's coordinate of each column.
     pub(in crate::render) u: &'a [f32],
-    /// Height at rest, px of the sampled picture.
+    /// Height at rest, px of the sampled image.
     pub(in crate::render) height: f32,
-    /// Px of the sampled picture for one of `u`.
+    /// Px of the sampled image for one of `u`.
     pub(in crate::render) unit: f32,
-    /// Largest error of drawn coordinates relative to the patch, px of the sampled picture.
+    /// Largest error of drawn coordinates relative to the patch, px of the sampled image.
     pub(in crate::render) tolerance: f32,
 }
 
@@ -195,13 +195,13 @@ pub(in crate::render) struct Neighbours<'a> {
     pub(in crate::render) lines: [&'a Edges; 4],
     /// Columns of the same rows.
     pub(in crate::render) columns: [&'a Edges; 3],
-    /// The least height of these rows at rest, px of the sampled picture.
+    /// The least height of these rows at rest, px of the sampled image.
     pub(in crate::render) height: f32,
     /// The sampler's coordinate of each column.
     pub(in crate::render) u: &'a [f32],
-    /// Px of the sampled picture for one of `u`.
+    /// Px of the sampled image for one of `u`.
     pub(in crate::render) unit: f32,
-    /// Largest error of drawn coordinates relative to the patch, px of the sampled picture.
+    /// Largest error of drawn coordinates relative to the patch, px of the sampled image.
     pub(in crate::render) tolerance: f32,
 }
 
@@ -254,7 +254,7 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
             2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1),
         );
         let width = (u[c + 1] - u[c]) * cells.unit;
-        // All lengths in px of the sampled picture; the columns are per px of height already.
+        // All lengths in px of the sampled image; the columns are per px of height already.
         let fall = least(left.1, right.1);
         let slant = most(top.1.abs(), bottom.1.abs());
         let least_fall = least(

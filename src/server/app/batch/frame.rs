@@ -1,4 +1,4 @@
-//! One frame of a batch, on one compute thread: its pose, its picture and its annotations.
+//! One frame of a batch, on one compute thread: its pose, its image and its annotations.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -102,7 +102,7 @@ impl BatchJob {
             || matches!(self.object.poses, BatchPoses::Jitter { .. })
     }
 
-    /// The job of drawing the picture or a layer.
+    /// The job of drawing the image or a layer.
     fn draw_job(
         &self,
         content: &DrawnContent,
@@ -129,7 +129,7 @@ impl BatchJob {
         }
     }
 
-    /// Memory of a frame besides its pictures.
+    /// Memory of a frame besides its images.
     fn reserve(&self, bytes: u64) -> Result<Reservation, Problem> {
         self.app
             .admission
@@ -156,7 +156,7 @@ impl BatchJob {
         }
     }
 
-    /// Checks all poses, and whether frames must be posed to find out what all pictures have in
+    /// Checks all poses, and whether frames must be posed to find out what all images have in
     /// common. Errors: Those of a frame, or of the output.
     pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
         self.rest
@@ -178,7 +178,7 @@ impl BatchJob {
         })
     }
 
-    /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an
+    /// Poses frames until it is known what all images have in common, alpha and the canvas of an
     /// animation: none if nothing depends on it, all of them if one of them may be refused. It ends
     /// earlier after [`MAX_SURVEY_TIME`]. Errors: Those of a frame.
     pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
@@ -228,7 +228,7 @@ impl BatchJob {
             || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
     }
 
-    /// Decides on the canvas of all pictures of an animation.
+    /// Decides on the canvas of all images of an animation.
     /// Errors: the canvas is too large.
     pub(crate) fn decide(&mut self, survey: &Survey) -> Result<(), Problem> {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
@@ -244,12 +244,12 @@ impl BatchJob {
         Ok(())
     }
 
-    /// The picture and the layers.
+    /// The image and the layers.
     fn contents(&self) -> impl Iterator<Item = &DrawnContent> {
         std::iter::once(&self.content).chain(self.layers.iter().map(|(_, content)| content))
     }
 
-    /// Whether pictures have alpha if the posed picture does not cover them, or has holes, and none
+    /// Whether images have alpha if the posed image does not cover them, or has holes, and none
     /// otherwise.
     fn may_need_alpha(&self) -> bool {
         let is_opaque = match self.output.outside {
@@ -351,7 +351,7 @@ impl BatchJob {
         })
     }
 
-    /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture;
+    /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its image;
     /// with jitter, also the handles.
     fn annotate(
         &self,

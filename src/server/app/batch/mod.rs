@@ -37,7 +37,7 @@ pub(crate) use stream::BatchStream;
 pub(crate) struct Batch {
     /// The number of frames.
     pub(crate) frames: u32,
-    /// What all pictures of an animation show; `None` if that is the box of the source.
+    /// What all images of an animation show; `None` if that is the box of the source.
     pub(crate) canvas: Option<Canvas>,
     /// Whether the plan was built for this request.
     pub(crate) plan_built: bool,
@@ -155,7 +155,7 @@ pub(crate) async fn of_session(
 /// Layers by their names.
 type Layers = Vec<(LayerRef, DrawnContent)>;
 
-/// The picture of a session, its layers of these names and its plan, all by one record: the
+/// The image of a session, its layers of these names and its plan, all by one record: the
 /// newest, if files of another one are gone. Errors: An unknown layer, or too little capacity.
 async fn admit_layers(
     app: &App,

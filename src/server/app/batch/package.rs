@@ -21,11 +21,11 @@ const ENTRY_BYTES: u64 = 512;
 /// The kind of file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BatchForm {
-    /// Pictures, annotations and the index.
+    /// Images, annotations and the index.
     Zip,
-    /// Pictures of one size.
+    /// Images of one size.
     Apng,
-    /// Pictures of one size and few colours.
+    /// Images of one size and few colours.
     Gif,
 }
 
@@ -43,7 +43,7 @@ impl BatchForm {
         }
     }
 
-    /// The format of its pictures; an archive has that of the request.
+    /// The format of its images; an archive has that of the request.
     pub(crate) const fn frame_format(self) -> Option<Format> {
         match self {
             Self::Zip => None,
@@ -52,7 +52,7 @@ impl BatchForm {
         }
     }
 
-    /// Whether it is an animation: its pictures have one size, and nothing else is in the file.
+    /// Whether it is an animation: its images have one size, and nothing else is in the file.
     pub(crate) const fn is_animation(self) -> bool {
         matches!(self, Self::Apng | Self::Gif)
     }
@@ -181,7 +181,7 @@ impl Package {
     }
 }
 
-/// An entry that is stored as it is, because pictures do not compress. Its metadata are the same on
+/// An entry that is stored as it is, because images do not compress. Its metadata are the same on
 /// every machine and at every time.
 fn entry(name: &str, bytes: &[u8]) -> Result<PreparedZipFile, Problem> {
     let options = SimpleFileOptions::default()

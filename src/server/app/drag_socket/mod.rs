@@ -209,7 +209,7 @@ fn pictures(options: DragOptions, record: &Record) -> Option<PictureLadder> {
 }
 
 fn full(options: DragOptions, record: &Record) -> u32 {
-    // Unless the full width is known, every picture is a preview.
+    // Unless the full width is known, every image is a preview.
     if options.form.is_mesh() {
         MESH_WIDTH
     } else {

@@ -1,4 +1,4 @@
-//! Pictures, layers and masks: read from the store, decoded on the pool, and cached.
+//! Images, layers and masks: read from the store, decoded on the pool, and cached.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ pub(crate) struct Images {
 }
 
 impl Images {
-    /// The sources of a session's picture or of a layer, and those of its region.
+    /// The sources of a session's image or of a layer, and those of its region.
     /// Errors: There is no such layer; holes without a region; too little capacity.
     pub(crate) async fn fetch(
         self: &Arc<Self>,
@@ -221,7 +221,7 @@ impl Images {
         ticket.run(open).await?
     }
 
-    /// The file of a picture or layer in decoded form, from the cache or decoded now.
+    /// The file of an image or layer in decoded form, from the cache or decoded now.
     pub(crate) async fn decode_file(
         &self,
         client: Client,

@@ -62,7 +62,7 @@ impl WriteTimeoutStream {
         timeout: Duration,
         permit: ConnectionPermit,
     ) -> io::Result<Self> {
-        // Nagle's algorithm would delay the last strip of a picture.
+        // Nagle's algorithm would delay the last strip of an image.
         socket.set_nodelay(true)?;
         // On failure the kernel keeps its own size, which only costs memory.
         let _ = SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);

@@ -95,7 +95,7 @@ pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Proble
 
 /// Which pages may embed a response (`Cross-Origin-Resource-Policy`): those of a listed site, if
 /// the request is from one. A listed site opens nothing for others, whose pages send no `Origin`
-/// when they embed a picture; so a listed one embeds it with `crossorigin`.
+/// when they embed an image; so a listed one embeds it with `crossorigin`.
 pub(super) fn resource_policy(headers: &HeaderMap, origins: &Origins) -> HeaderValue {
     let is_open = *origins == Origins::Any || is_listed(headers, origins);
     HeaderValue::from_static(if is_open {

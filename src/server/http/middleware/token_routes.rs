@@ -28,7 +28,7 @@ const ROWS: [(&str, &str, Option<TokenOp>); 26] = {
         ("POST", "/sessions/{id}/batch", Some(Batch)),
         // A token makes no others.
         ("POST", "/sessions/{id}/tokens", None),
-        // Without a session, the holder of the token could do it for any picture.
+        // Without a session, the holder of the token could do it for any image.
         ("POST", "/warp", None),
         ("POST", "/sessions", None),
         ("POST", "/points", None),

@@ -1,4 +1,4 @@
-//! Responses: pictures, meshes and JSON, with the headers of the contract. Dropping a picture's
+//! Responses: images, meshes and JSON, with the headers of the contract. Dropping an image's
 //! body cancels the drawing.
 
 pub(crate) mod problem;
@@ -138,7 +138,7 @@ pub(crate) fn mesh(response: PoseResponse, media_type: &'static str) -> Response
     (headers, body).into_response()
 }
 
-/// A picture.
+/// An image.
 pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
     let Drawn {
         report,
@@ -250,7 +250,7 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     texts.collect::<Vec<_>>().join(", ")
 }
 
-/// The body of a picture that is still being drawn.
+/// The body of an image that is still being drawn.
 fn strip_body(first: Piece, mut rest: UnboundedReceiver<Piece>, trailers: bool) -> Body {
     let (mut first, mut is_ended, mut trailer) = (Some(first), false, None);
     Body::new(StreamBody::new(poll_fn(move |cx| {

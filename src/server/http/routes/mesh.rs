@@ -1,4 +1,4 @@
-//! `POST /sessions/{id}/mesh`: the posed grid, for clients that draw the picture themselves.
+//! `POST /sessions/{id}/mesh`: the posed grid, for clients that draw the image themselves.
 
 use axum::extract::{Path, Request};
 use axum::response::Response;

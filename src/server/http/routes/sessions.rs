@@ -21,7 +21,7 @@ use crate::wire::landmarks::Target;
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 
-/// Creates a session. Its picture is decoded and its table filled before the first drag.
+/// Creates a session. Its image is decoded and its table filled before the first drag.
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let upload = upload::read(&caller, request).await?;
     let (shown, method) = sessions::create(&caller.app, caller.client, upload).await?;

@@ -3,17 +3,17 @@
 //!
 //! | key | content | expires after |
 //! |---|---|---|
-//! | `mlswarp:{NAME}:session` | hash: `record`, `made`, `revision`, `life`, `seq`, `layer:DIGEST` | one idle period |
+//! | `mlswarp:{NAME}:session` | a hash | one idle period |
 //! | `mlswarp:{NAME}:file` | the image's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
 //! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
 //!
-//! NAME is owner and session in hexadecimal. `made` is the digest of what the record was made from,
-//! `life` the time at which the session was created, `layer:DIGEST` the file of a layer, one for
-//! each. Sequence numbers have twenty digits, so that they compare as strings. A full server
-//! refuses the first write of a script if it may take memory; `touch` therefore begins with
-//! `PEXPIRE`, which takes none.
+//! NAME is owner and session in hexadecimal. The fields of the hash are `record`, `revision`,
+//! `seq`, `made` (the digest of what the record was made from), `life` (the time at which the
+//! session was created) and, for each file of a layer, `layer:DIGEST`. Sequence numbers have twenty
+//! digits, so that they compare as strings. A full server refuses the first write of a script if it
+//! may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
 //!
 //! Scripts are called by their digest (`EVALSHA`) and sent once. Those that follow a file are sent
 //! in full each time: inside `MULTI` a missing script would fail after the file has been stored.

@@ -8,7 +8,7 @@ use crate::pixmap::Extent;
 /// Most bytes of a profile in one segment (ICC.1, Annex B.4).
 const PROFILE_BYTES: usize = 65_519;
 
-/// Ends a picture.
+/// Ends an image.
 pub(super) const END: [u8; 2] = [0xff, 0xd9];
 
 /// The marker before a strip, which is a restart interval; none before the first.

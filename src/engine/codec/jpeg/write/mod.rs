@@ -29,9 +29,9 @@ use crate::codec::{Carried, PixelLayout, Subsampling};
 use crate::level::SimdLevel;
 
 /// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share
-/// a picture of 500 x 500 unevenly.
+/// an image of 500 x 500 unevenly.
 const STRIP_BYTES: u64 = 512 << 10;
-/// Pictures with fewer bytes are one strip.
+/// Images with fewer bytes are one strip.
 const ONE_STRIP_BYTES: u64 = 96 << 10;
 
 /// Writes one JPEG in independent strips. Cheap to create and to clone.
@@ -49,8 +49,8 @@ pub struct JpegWriter {
 }
 
 impl JpegWriter {
-    /// A writer for one picture of 8 bit and of a valid size for JPEG. `quality`: 1 to 100. A grey
-    /// picture becomes a file of one component.
+    /// A writer for one image of 8 bit and of a valid size for JPEG. `quality`: 1 to 100. A grey
+    /// image becomes a file of one component.
     ///
     /// # Panics
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
@@ -174,7 +174,7 @@ impl JpegWriter {
         out: &mut Vec<u8>,
         wanted: &dyn Fn() -> bool,
     ) {
-        /// The same for every picture.
+        /// The same for every image.
         static CODES: LazyLock<[CoefficientCodes; 2]> = LazyLock::new(CoefficientCodes::of_both);
         let (width, channels) = (self.shape.extent.width() as usize, self.shape.samples());
         assert_eq!(

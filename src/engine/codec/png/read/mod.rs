@@ -29,17 +29,17 @@ const DATA_PER_BYTE: u64 = 2;
 /// Additional data per row: an encoder may flush each row, which takes 5 bytes, or some blocks of
 /// its own.
 const DATA_PER_ROW: u64 = 16;
-/// Additional data for a picture of any size.
+/// Additional data for an image of any size.
 const FREE_DATA: u64 = 64 << 10;
 /// Bytes per data chunk, beside one chunk for each row: encoders have buffers of some KiB, the
 /// smallest known half a KiB.
 const BYTES_PER_CHUNK: u64 = 512;
-/// Additional data chunks for a picture of any size: test suites have small pictures with a chunk
+/// Additional data chunks for an image of any size: test suites have small images with a chunk
 /// for each byte.
 const FREE_CHUNKS: u64 = 4096;
 
 /// Bytes of deflated profiles and texts beyond their inflated size: the same reserve as for the
-/// data of a picture.
+/// data of an image.
 const FREE_DEFLATED: usize = 64 << 10;
 /// The largest XMP packet that is inflated.
 const MOST_XMP: usize = 1 << 17;
@@ -187,7 +187,7 @@ impl<'a> PngFile<'a> {
         }
     }
 
-    /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the
+    /// Memory beside the image: the inflater's window and a few rows, the EXIF block that the
     /// decoder keeps, a copy without frames.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
@@ -233,8 +233,8 @@ impl<'a> PngFile<'a> {
         })
     }
 
-    /// Checks that the data can hold the picture and little else, so that the inflater's work for
-    /// empty blocks, empty chunks and data beyond the last row is proportional to the picture.
+    /// Checks that the data can hold the image and little else, so that the inflater's work for
+    /// empty blocks, empty chunks and data beyond the last row is proportional to the image.
     fn weigh_data(&self) -> Result<(), CodecError> {
         let (rows, raw) = self.filtered();
         if self.idat_bytes.saturating_mul(MAX_INFLATION) < raw {

@@ -88,7 +88,7 @@ impl Animation {
         out
     }
 
-    /// Appends fcTL: the frame covers the whole picture and replaces it.
+    /// Appends fcTL: the frame covers the whole image and replaces it.
     fn control(&mut self, out: &mut Vec<u8>) {
         let open = chunk::open(out, *b"fcTL");
         out.extend_from_slice(&self.next_number());

@@ -1,6 +1,6 @@
-//! The division of a picture's rows into strips, and the largest size of a strip.
+//! The division of an image's rows into strips, and the largest size of a strip.
 //!
-//! The layout depends on shape and compression alone, so a picture has the same bytes whatever
+//! The layout depends on shape and compression alone, so an image has the same bytes whatever
 //! encodes it. A row is `1 + row_bytes` bytes of the zlib stream (its filter byte and its samples);
 //! a strip of `f` such bytes never takes more than the stored form: `f + 5` per deflate block of
 //! 65535, the zlib header in the first strip, and the overhead of one chunk.
@@ -10,14 +10,14 @@ use std::ops::Range;
 use super::{Compression, PixelLayout, chunk, stored};
 
 /// Target size of a strip, filtered bytes. Below, the code table of every strip costs too much (0.1
-/// % and 40 us a strip, `notes.md`); above, two threads share a 500 x 500 picture unevenly and the
+/// % and 40 us a strip, `notes.md`); above, two threads share a 500 x 500 image unevenly and the
 /// first bytes of a large one are late.
 const STRIP_BYTES: u64 = 512 << 10;
 
 /// Target size for `Compression::Best`, which resets its window at every strip.
 const BEST_STRIP_BYTES: u64 = 1 << 20;
 
-/// Pictures with fewer filtered bytes are one strip, because sharing the work costs more than it
+/// Images with fewer filtered bytes are one strip, because sharing the work costs more than it
 /// saves.
 const ONE_STRIP_BYTES: u64 = 96 << 10;
 
@@ -25,7 +25,7 @@ const ONE_STRIP_BYTES: u64 = 96 << 10;
 /// stay below 2^31.
 const MAX_ROW_BYTES: u64 = 1 << 30;
 
-/// Strips of one picture.
+/// Strips of one image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     height: u32,

@@ -1,4 +1,4 @@
-//! The PNG writer: encodes a picture as a head, independent strips and a tail (PNG 3rd edition).
+//! The PNG writer: encodes an image as a head, independent strips and a tail (PNG 3rd edition).
 //!
 //! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered
 //! without the row above, so strips can be encoded in any order and on any thread, and are sent in
@@ -61,7 +61,7 @@ pub struct Strip {
     pub filtered_len: u64,
 }
 
-/// A colour profile, and the PNG chunk that carries it, compressed once for all pictures.
+/// A colour profile, and the PNG chunk that carries it, compressed once for all images.
 #[derive(Debug, Clone)]
 pub struct Profile {
     icc: Arc<[u8]>,
@@ -112,7 +112,7 @@ pub struct PngWriter {
 }
 
 impl PngWriter {
-    /// A writer for one picture. The strip layout depends on the shape and the compression alone.
+    /// A writer for one image. The strip layout depends on the shape and the compression alone.
     ///
     /// # Panics
     /// If a row is longer than 1 GiB.
