@@ -25,11 +25,12 @@ export const isRemembered = () => attempt(() => localStorage.getItem(NAME)) !== 
 export const looksLikeKey = (text) => SHAPE.test(text);
 
 /**
- * Sets the key; null removes it.
+ * Sets the key; null removes it. Whether another one was in its place.
  * @param {string | null} text
  * @param {boolean} remember
  */
 export function useKey(text, remember) {
+  const isOther = key !== null && key !== text;
   key = text;
   for (const { storage, keeps } of [
     { storage: () => sessionStorage, keeps: !remember },
@@ -39,6 +40,7 @@ export function useKey(text, remember) {
       text !== null && keeps ? storage().setItem(NAME, text) : storage().removeItem(NAME),
     );
   }
+  return isOther;
 }
 
 /**

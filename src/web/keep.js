@@ -161,6 +161,18 @@ export async function keepFile(blob, name, needed) {
   }
 }
 
+/** @param {IDBValidKey[]} keys */
+export async function forgetFiles(keys) {
+  try {
+    const opened = await database();
+    const files = opened.transaction("files", "readwrite").objectStore("files");
+    for (const key of keys) await settled(files.delete(key));
+    opened.close();
+  } catch {
+    // Nothing was stored.
+  }
+}
+
 /**
  * Annotations as they were: after a reload, those of the stored file; null if it is gone.
  * @param {Page.Annotations | null | undefined} annotations

@@ -478,11 +478,15 @@ function showKey() {
  * @param {boolean} remember
  */
 async function takeKey(key, remember) {
-  useKey(key, remember);
+  const isOther = useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  if (key === null || !KEYS.has(problem?.code ?? ""))
-    return toast(key === null ? "Key removed" : "Key saved in this browser");
+  if (key === null || !KEYS.has(problem?.code ?? "")) {
+    // A key that was refused had no account; any other one may be of somebody else.
+    const forgot = isOther && (await opener.forgetAnnotations());
+    const words = key === null ? "Key removed" : "Key saved in this browser";
+    return toast(forgot ? `${words}. Annotations are closed: they were of the other key` : words);
+  }
   await repeat(problem);
   if (!store.state.problem) toast("The server accepts the key");
 }

@@ -8,7 +8,7 @@ import { known } from "./dom.js";
 import { alphaOf, hasFocus, ownIn, restOf, sameRest } from "./edits.js";
 import { sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
-import { keepFile, keptAnnotations, keptFile } from "./keep.js";
+import { forgetFiles, keepFile, keptAnnotations, keptFile } from "./keep.js";
 import { NeedsPicture } from "./landmarks.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { readProject } from "./project.js";
@@ -96,6 +96,24 @@ export class Opener {
     const blob = new Blob([JSON.stringify(annotations.geojson)], { type: "application/geo+json" });
     annotations.key = await keepFile(blob, annotations.name, this.#needed);
     this.told();
+  }
+
+  /** Forgets the annotations of all pictures, stored ones too. Whether there were any. */
+  async forgetAnnotations() {
+    const { annotations, waiting, earlier, later } = this.store.state;
+    const all = [
+      annotations,
+      waiting?.annotations,
+      ...[...earlier, ...later].map((p) => p.annotations),
+    ];
+    if (!all.some(Boolean)) return false;
+    /** @type {(picture: Page.Kept) => Page.Kept} */
+    const bare = (picture) => (picture.picture ? { ...picture, annotations: null } : picture);
+    this.store.do("waiting", { annotations: null });
+    this.store.do("annotations", { annotations: null });
+    this.store.do("history", { earlier: earlier.map(bare), later: later.map(bare) });
+    await forgetFiles(all.flatMap((one) => one?.key ?? []));
+    return true;
   }
 
   cancel() {

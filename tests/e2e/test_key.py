@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from support import BLUE, RED, SOCKET, Server, near
+from support import BLUE, RED, SOCKET, Server, discs, near
 
 KEY = "a-key-of-the-tests-0123456789"
 OTHER = "another-key-of-the-tests-98765"
@@ -77,6 +77,59 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
         ["sh", "-c", line], cwd=tmp_path, env={**os.environ, "MLSWARP_KEY": KEY}, check=True
     )
     assert (tmp_path / f"{picture.stem}-warped.png").read_bytes() == png
+
+
+MEDIA = """new Promise((then) => { indexedDB.open("mlswarp").onsuccess = ({ target }) =>
+  (target.result.transaction("files").objectStore("files").getAll().onsuccess = ({ target }) =>
+    then(target.result.map(({ type }) => type))); })"""
+
+
+@pytest.mark.parametrize("way", ["changed", "removed"])
+def test_annotations_do_not_follow_into_the_account_of_another_key(
+    visits, locked, picture, tmp_path, way
+):
+    visit = visits(locked)
+    visit.expects("401", "404", SOCKET)
+    asked = []
+    visit.page.on("request", lambda request: asked.append((request.url, request.headers)))
+    visit.page.click("#help-open")
+    visit.page.click("#key-open")
+    give(visit, KEY)
+    # Those of the picture that is open, and of one that undo brings back.
+    cells = tmp_path / "cells.geojson"
+    cells.write_text('{"type": "Point", "coordinates": [50, 60]}')
+    for size in ((400, 300), (330, 260)):
+        visit.open(discs(tmp_path / f"{size[0]}.png", size))
+        visit.page.set_input_files("#file", cells)
+        visit.body("[data-annotations=exact][data-kept=true]")
+    assert visit.page.evaluate(MEDIA).count("application/geo+json") == 2
+    # The same key once more is no other one.
+    for key in (KEY, OTHER):
+        visit.page.click("#help-open")
+        visit.page.click("#key-open")
+        if key == OTHER and way == "removed":
+            visit.page.click("#key-forget")
+        else:
+            give(visit, key)
+        if key == KEY:
+            assert visit["annotations"] == "exact"
+    visit.page.wait_for_selector("#toast.seen:text-matches('Annotations are closed')")
+    assert visit["annotations"] == ""
+    assert "application/geo+json" not in visit.page.evaluate(MEDIA)
+    if way == "removed":
+        visit.page.click("#help-open")
+        visit.page.click("#key-open")
+        give(visit, OTHER)
+    asked.clear()
+    visit.click(50, 60)
+    visit.ready()
+    visit.keys("Control+z", "Control+z")
+    visit.body("[data-redo='2']").ready()
+    assert visit["annotations"] == "" and visit.page.title().startswith("400.png")
+    visit.page.reload()
+    visit.ready()
+    assert visit["annotations"] == ""
+    assert not [url for url, _ in asked if url.endswith("/points")]
 
 
 def test_the_key_lives_as_long_as_is_wished(visits, locked, picture):
