@@ -7,19 +7,20 @@ import { alphaOf, depthOf, hasFocus } from "./edits.js";
 const SHARE = 0.9;
 
 /**
- * The squared distance of a position from a handle at rest, px.
- * @param {Page.Place[]} places
+ * The squared distance of a position from a handle at rest, px; `numbers`: x, y of its places.
+ * @param {Float64Array} numbers
  * @param {number} x
  * @param {number} y
  */
-function awayFrom(places, x, y) {
-  let least = (places[0][0] - x) ** 2 + (places[0][1] - y) ** 2;
-  for (let k = 1; k < places.length; k++) {
-    const [[ax, ay], [bx, by]] = [places[k - 1], places[k]];
-    const [dx, dy] = [bx - ax, by - ay];
-    const along = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy);
-    const t = Math.min(1, Math.max(0, along));
-    least = Math.min(least, (ax + t * dx - x) ** 2 + (ay + t * dy - y) ** 2);
+function awayFrom(numbers, x, y) {
+  const [ox, oy] = [numbers[0] - x, numbers[1] - y];
+  let least = ox * ox + oy * oy;
+  for (let k = 2; k < numbers.length; k += 2) {
+    const [ax, ay] = [numbers[k - 2] - x, numbers[k - 1] - y];
+    const [dx, dy] = [numbers[k] - x - ax, numbers[k + 1] - y - ay];
+    const t = Math.min(1, Math.max(0, -(ax * dx + ay * dy) / (dx * dx + dy * dy)));
+    const [ux, uy] = [ax + t * dx, ay + t * dy];
+    least = Math.min(least, ux * ux + uy * uy);
   }
   return least;
 }
@@ -37,17 +38,20 @@ export function depthsOf(document, mesh) {
   if (!(least < most)) return null;
   const { columns, rows } = mesh.grid;
   const alpha = hasFocus(document) ? alphaOf(document) : 1;
+  const places = handles.map(({ p }) => Float64Array.from(p.flat()));
   const carried = new Float32Array(columns * rows);
   for (let j = 0, at = 0; j < rows; j++)
     for (let i = 0; i < columns; i++, at++) {
       const [x, y] = [mesh.restX(i), mesh.restY(j)];
       let [sum, total] = [0, 0];
-      handles.forEach(({ p }, k) => {
+      // Without closures, and a power only where one is needed: a drag that begins waits for it.
+      for (let k = 0; k < places.length; k++) {
         // A position on a handle has its depth.
-        const weight = Math.max(1e-6, awayFrom(p, x, y)) ** -alpha;
+        const away = Math.max(1e-6, awayFrom(places[k], x, y));
+        const weight = alpha === 1 ? 1 / away : alpha === 2 ? 1 / (away * away) : away ** -alpha;
         sum += weight * (depths[k] - least);
         total += weight;
-      });
+      }
       carried[at] = SHARE * ((2 * sum) / total / (most - least) - 1);
     }
   return carried;
