@@ -202,7 +202,7 @@ impl<'a> Drawing<'a> {
         let row = self.extent.width() as usize * renderer.channels().count();
         self.out.resize(row * self.extent.height() as usize, 0);
         if self.bands == 1 {
-            return renderer.band(0..self.extent.height(), &mut self.out);
+            return renderer.band(0..self.extent.height(), &mut self.out, &|| false);
         }
         let rows = self.extent.height().div_ceil(self.bands);
         self.out
@@ -210,7 +210,7 @@ impl<'a> Drawing<'a> {
             .enumerate()
             .for_each(|(k, band)| {
                 let first = k as u32 * rows;
-                renderer.band(first..first + (band.len() / row) as u32, band);
+                renderer.band(first..first + (band.len() / row) as u32, band, &|| false);
             });
     }
 }

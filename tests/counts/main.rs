@@ -274,7 +274,7 @@ fn draw(source: &Arc<Source>, mesh: &Mesh, samples: &mut Vec<u8>) -> Channels {
     for first in (0..SIDE).step_by(64) {
         let rows = first..SIDE.min(first + 64);
         let out = &mut samples[rows.start as usize * row..rows.end as usize * row];
-        renderer.band(rows, out);
+        renderer.band(rows, out, &|| false);
     }
     renderer.channels()
 }

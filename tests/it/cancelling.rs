@@ -7,7 +7,7 @@ use crate::module_dependencies::sources;
 
 /// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their
 /// `Cancel` contain one of these.
-const BOUNDED: [(&str, &str); 6] = [
+const BOUNDED: [(&str, &str); 5] = [
     (
         "::parse",
         "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has \
@@ -23,16 +23,10 @@ const BOUNDED: [(&str, &str); 6] = [
         "a few operations for each of at most `--max-columns` positions",
     ),
     ("to_invert(", "the same"),
-    ("map_band", "2^16 positions"),
 ];
 /// Functions of the library that cannot be cancelled, for the offline tool: the service calls what
 /// they are made of.
-const WITHOUT_CANCELLATION: [&str; 4] = [
-    "RestDeformation::new(",
-    "RestDeformation::spline(",
-    "Image::decode(",
-    "RenderJob::new(",
-];
+const WITHOUT_CANCELLATION: [&str; 2] = ["RestDeformation::new(", "RestDeformation::spline("];
 
 /// The code of a file without comments and unit tests.
 fn code(text: &str) -> String {

@@ -105,6 +105,9 @@ async fn depth_that_is_wrong_is_refused_where_it_stands() {
     let image = photo(160, 120);
     for (depth, code, pointer) in [
         (json!([0, 1]), "shape_mismatch", "/depth"),
+        (json!([0, 0]), "shape_mismatch", "/depth"),
+        (json!([0, 0, 0, 0, 0, 0]), "shape_mismatch", "/depth"),
+        (json!([]), "shape_mismatch", "/depth"),
         (json!([0, 1e300, 0, 0, 0]), "bad_value", "/depth/1"),
         (json!([0, -1000.5, 0, 0, 0]), "bad_value", "/depth/1"),
         (json!([0, "1", 0, 0, 0]), "bad_value", "/depth/1"),

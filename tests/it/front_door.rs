@@ -42,7 +42,7 @@ fn posed(moved: bool) -> PosedWarp {
 }
 
 fn decoded(file: &[u8]) -> Image {
-    Image::decode(file, &ImageLimits::default()).unwrap()
+    Image::decode(file, &ImageLimits::default(), &|| false).unwrap()
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn front_door_labels_of_every_width_follow_the_same_pixels() {
         let file = posed.render_labels(&sixteen).unwrap().file(format);
         match file {
             Ok(file) => {
-                let again = LabelImage::decode(&file, &Limits::default()).unwrap();
+                let again = LabelImage::decode(&file, &Limits::default(), &|| false).unwrap();
                 let at_rest = self::posed(false);
                 let read = at_rest.render_labels(&again).unwrap().labels().unwrap();
                 assert_eq!(read, values(&sixteen), "{format:?}");

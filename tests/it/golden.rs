@@ -46,7 +46,12 @@ pub(crate) fn limits() -> Limits {
 /// The PNG of an object on a photograph.
 pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(
-        Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap(),
+        Image::decode(
+            &std::fs::read(photograph).unwrap(),
+            &ImageLimits::default(),
+            &|| false,
+        )
+        .unwrap(),
     );
     let setup = ResolvedRest::new(&object.rest, image.extent(), &limits(), &|| false).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
@@ -63,6 +68,7 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
         &posed,
         &object.output,
         &limits(),
+        &|| false,
     )
     .unwrap();
     let mut bytes = Vec::new();

@@ -60,7 +60,8 @@ fn identity_returns_the_decoded_pixels() {
         for channels in [Channels::Rgb, Channels::Rgba] {
             for depth in [Depth::Eight, Depth::Sixteen] {
                 let file = noise(extent, channels, depth);
-                let image = Arc::new(Image::decode(&file, &ImageLimits::default()).unwrap());
+                let image =
+                    Arc::new(Image::decode(&file, &ImageLimits::default(), &|| false).unwrap());
                 for (method, grid) in [
                     (Method::Rigid, GridSpec::Auto),
                     (Method::Affine, GridSpec::Pixel),
@@ -98,9 +99,14 @@ fn identity_returns_the_decoded_pixels() {
                             &|| false,
                         )
                         .unwrap();
-                        let warp =
-                            RenderJob::new(RasterSource::Image(&image), &posed, &output, &limits())
-                                .unwrap();
+                        let warp = RenderJob::new(
+                            RasterSource::Image(&image),
+                            &posed,
+                            &output,
+                            &limits(),
+                            &|| false,
+                        )
+                        .unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);

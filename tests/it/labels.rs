@@ -95,7 +95,7 @@ fn labels_follow_the_inverse_of_the_pixel_centre() {
         png::BitDepth::Sixteen,
         &samples,
     );
-    let image = LabelImage::decode(&file, &limits).unwrap();
+    let image = LabelImage::decode(&file, &limits, &|| false).unwrap();
     let (mut compared, mut near_borders, mut usable) = (0, 0, 0);
     for seed in 0..200 {
         let (rest, q) = warp(seed);
@@ -115,6 +115,7 @@ fn labels_follow_the_inverse_of_the_pixel_centre() {
             &posed,
             &OutputSpec::default(),
             &limits,
+            &|| false,
         )
         .unwrap()
         .write(0, &(), &mut |bytes| {

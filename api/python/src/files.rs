@@ -5,10 +5,9 @@ use std::ops::ControlFlow;
 
 use bytes::Bytes;
 use mlswarp::Cancel;
-use mlswarp::codec::{self, ImageLimits, StepCounter};
 use mlswarp::warp::{
-    Image, PosedMesh, RasterSource, Region, RenderJob, RestMask, Stage, WarpError, WriteObserver,
-    check_comparison,
+    Image, ImageLimits, PosedMesh, RasterSource, Region, RenderJob, RestMask, Stage, WarpError,
+    WriteObserver, check_comparison,
 };
 use mlswarp_contract::problem::{Code, Problem};
 use mlswarp_contract::wire::landmarks::{Choice, LandmarkFiles, Landmarks};
@@ -36,13 +35,6 @@ impl WriteObserver for Watch<'_> {
     }
 }
 
-fn decode(file: &[u8], limits: &ImageLimits, cancel: &Cancel) -> Result<Image, WarpError> {
-    let is_cancelled = || cancel.is_cancelled();
-    let steps = StepCounter::new(&is_cancelled);
-    let opened = codec::open(file, limits, &steps)?;
-    Image::decode_as(Image::digest_of(file), &opened)
-}
-
 /// The bytes of `POST /warp`. `region`: the file of a mask.
 fn draw(
     file: &[u8],
@@ -53,7 +45,7 @@ fn draw(
     let (limits, is_cancelled) = (limits(), || cancel.is_cancelled());
     let mut object = read_object(warp)?;
     let _ = object.posed()?;
-    let image = decode(file, &limits.image, cancel)?;
+    let image = Image::decode(file, &limits.image, &is_cancelled)?;
     let extent = image.extent();
     let region = match region {
         Some(file) => Some(read_region(file, &image, &limits.image, cancel)?),
@@ -72,7 +64,7 @@ fn draw(
     let plan = setup.plan(&is_cancelled)?;
     let posed = PosedMesh::new(&setup, &plan, &pose, object.folds, &is_cancelled)?;
     let posed = region.into_iter().fold(posed, PosedMesh::within);
-    let job = RenderJob::new(subject, &posed, &object.output, &limits)?;
+    let job = RenderJob::new(subject, &posed, &object.output, &limits, &is_cancelled)?;
     let mut out = Vec::new();
     let helpers = rayon::current_num_threads() - 1;
     let written = job.write(helpers, &Watch(cancel), &mut |bytes| {
@@ -95,7 +87,8 @@ fn read_region(
         problem.detail.insert_str(0, "`region`: ");
         problem
     };
-    let mask = decode(file, limits, cancel).map_err(|error| in_region(error.into()))?;
+    let mask = Image::decode(file, limits, &|| cancel.is_cancelled());
+    let mask = mask.map_err(|error| in_region(error.into()))?;
     let (expected, actual) = (image.extent(), mask.extent());
     if expected == actual {
         return Ok(Region::new(&mask));

@@ -183,6 +183,10 @@ impl WarpObject {
             return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
         }
         self.leave_out_missing();
+        let RestSpec { p, depth, .. } = &mut self.rest;
+        // Zeros are the default, which records leave out. A wrong number of them is refused later.
+        let counts = |depth: &Vec<f64>| depth.len() != p.len() || depth.iter().any(|d| *d != 0.0);
+        *depth = depth.take().filter(counts);
         let strength = std::mem::replace(&mut self.strength, 1.0);
         let Some(q) = self.q.take() else {
             return Ok(None);

@@ -187,8 +187,7 @@ impl WarpPatch {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
                 weights,
-                // Zeros are the default, which records leave out.
-                depth: depth.filter(|depth| depth.iter().any(|depth| *depth != 0.0)),
+                depth,
                 method,
                 alpha: self.alpha.or(kept(base.rest.alpha)),
                 point_mass: self.point_mass.or(kept(base.rest.point_mass)),

@@ -12,27 +12,36 @@ use crate::parallel::prelude::*;
 
 /// Blocks of positions that one task computes.
 const BLOCKS_PER_TASK: usize = 8;
+/// Vertices whose positions are in memory at once, where they are needed.
+const VERTICES_PER_PART: usize = 1 << 16;
 
 impl RestDeformation {
-    /// The number of each column, from one for each of the client's handles. Coincident points have
-    /// the mean of theirs.
+    /// The number of each column as a share of the range of all, from one for each of the client's
+    /// handles; `None` if they do not differ. Coincident points have the mean of theirs. What is
+    /// carried is rounded to f32: of a share, that is nothing beside the range, however far from 0
+    /// that lies.
     ///
     /// # Panics
     /// If there is not one number for each handle.
     #[must_use]
-    pub fn per_column(&self, of_handles: &[f64]) -> Vec<f64> {
+    pub(crate) fn shares_of_columns(&self, of_handles: &[f64]) -> Option<Vec<f64>> {
         let given = self.client_handles().handles();
         assert_eq!(given.len(), of_handles.len(), "one number for each handle");
         let columns = given.iter().zip(of_handles);
-        let columns = columns.flat_map(|(handle, value)| vec![*value; handle.columns()]);
-        match &self.grouped {
-            None => columns.collect(),
+        let columns: Vec<f64> = columns
+            .flat_map(|(handle, value)| vec![*value; handle.columns()])
+            .collect();
+        let least = columns.iter().copied().fold(f64::INFINITY, f64::min);
+        let range = columns.iter().copied().fold(least, f64::max) - least;
+        let shares = columns.iter().map(|value| (value - least) / range);
+        let differs = range > 0.0;
+        differs.then(|| match &self.grouped {
+            None => shares.collect(),
             Some(grouped) => {
-                let columns: Vec<Vec2> = columns.map(|value| Vec2::new(value, 0.0)).collect();
-                let means = grouped.1.displacements(&columns);
+                let means = grouped.1.displacements(&as_displacements(shares));
                 means.into_iter().map(|mean| mean.x).collect()
             }
-        }
+        })
     }
 
     /// The numbers of the columns, carried to vertices. `vertex(k)`: where one is, and the pixel
@@ -46,11 +55,16 @@ impl RestDeformation {
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<f32>> {
         if !self.map.has_weights() {
-            let displacements = as_displacements(of_columns);
-            let places: Vec<Point> = (0..vertices).map(|k| vertex(k).0).collect();
+            let displacements = as_displacements(of_columns.iter().copied());
             let posed = PosedMap::of_displacements(self, &displacements);
-            let (moved, _) = posed.displaced(&places, cancelled)?;
-            return Some(moved.into_iter().map(|[x, _]| x).collect());
+            let mut carried = Vec::with_capacity(vertices);
+            for first in (0..vertices).step_by(VERTICES_PER_PART) {
+                let part = first..vertices.min(first + VERTICES_PER_PART);
+                let places: Vec<Point> = part.map(|k| vertex(k).0).collect();
+                let (moved, _) = posed.displaced(&places, cancelled)?;
+                carried.extend(moved.into_iter().map(|[x, _]| x));
+            }
+            return Some(carried);
         }
         let mut carried = vec![0.0; vertices];
         carried
@@ -87,27 +101,37 @@ impl RestDeformation {
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<f32>> {
         let solver = self.map.mesh()?;
-        let carried = solver.carry(&as_displacements(of_columns), cancelled)?;
+        let carried = solver.carry(&as_displacements(of_columns.iter().copied()), cancelled)?;
         Some(carried.into_iter().map(|[x, _]| x).collect())
     }
 }
 
 impl CoefficientTable {
-    /// The numbers of the columns, carried to the vertices of the table; `None` if it has no
-    /// weights.
-    pub(crate) fn carried(&self, of_columns: &[f64]) -> Option<Vec<f32>> {
-        let blocks = self.weights()?;
-        let carried = blocks.flat_map(|weights| {
-            let lane = move |lane: usize| {
+    /// Whether the table has the weights that numbers are carried by.
+    pub(crate) fn has_weights(&self) -> bool {
+        self.weights().is_some()
+    }
+
+    /// The numbers of the columns, carried to the vertices of the table by its weights, if it has
+    /// them. `None` when cancelled, which is checked for each block.
+    pub(crate) fn carried(
+        &self,
+        of_columns: &[f64],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<f32>> {
+        let mut carried = Vec::with_capacity(self.len() + LANES);
+        for weights in self.weights().into_iter().flatten() {
+            if cancelled() {
+                return None;
+            }
+            carried.extend((0..LANES).map(|lane| {
                 let weights = weights.iter().skip(2).step_by(3);
-                sum(
-                    of_columns,
-                    weights.map(|weights| f64::from(weights.0[lane])),
-                )
-            };
-            (0..LANES).map(lane)
-        });
-        Some(carried.take(self.len()).collect())
+                let of_lane = weights.map(|weights| f64::from(weights.0[lane]));
+                sum(of_columns, of_lane)
+            }));
+        }
+        carried.truncate(self.len());
+        Some(carried)
     }
 }
 
@@ -121,9 +145,8 @@ fn block(at: &dyn Fn(usize) -> (Point, Option<u32>)) -> Vertices<LANES> {
 }
 
 /// A number is carried as a displacement along one axis.
-fn as_displacements(of_columns: &[f64]) -> Vec<Vec2> {
-    let displacements = of_columns.iter().map(|value| Vec2::new(*value, 0.0));
-    displacements.collect()
+fn as_displacements(of_columns: impl Iterator<Item = f64>) -> Vec<Vec2> {
+    of_columns.map(|value| Vec2::new(value, 0.0)).collect()
 }
 
 #[expect(
@@ -133,4 +156,46 @@ fn as_displacements(of_columns: &[f64]) -> Vec<Vec2> {
 fn sum(of_columns: &[f64], weights: impl Iterator<Item = f64>) -> f32 {
     let terms = of_columns.iter().zip(weights);
     terms.fold(0.0, |sum, (value, weight)| sum + value * weight) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::{Falloff, Handle, Handles, Method};
+
+    fn shares(handles: Vec<Handle>, of_handles: &[f64]) -> Option<Vec<f64>> {
+        let (handles, falloff) = (Handles::new(handles, None), Falloff::new(1.0, false));
+        let field = RestDeformation::new(handles.unwrap(), Method::Rigid, falloff.unwrap(), 1.0);
+        field.unwrap().shares_of_columns(of_handles)
+    }
+
+    #[test]
+    fn numbers_are_shares_of_their_range_however_far_from_0_that_is() {
+        let point = |x: f64| Handle::Point(Point::new(x, 0.0));
+        let three = || vec![point(0.0), point(10.0), point(20.0)];
+        for (numbers, expected) in [
+            ([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]),
+            ([1e9 + 2.0, 1e9 + 1.0, 1e9], [1.0, 0.5, 0.0]),
+            ([-1e300, 0.0, 1e300], [0.0, 0.5, 1.0]),
+            ([1e300, 1e300_f64.next_up(), 1e300], [0.0, 1.0, 0.0]),
+            ([0.0, 5e-324, 1e-323], [0.0, 0.5, 1.0]),
+            ([-5e-324, -0.0, 0.0], [0.0, 1.0, 1.0]),
+        ] {
+            assert_eq!(shares(three(), &numbers), Some(expected.to_vec()));
+        }
+        for equal in [[0.0, -0.0, 0.0], [1e9; 3], [-1e300; 3], [5e-324; 3]] {
+            assert_eq!(shares(three(), &equal), None);
+        }
+        assert_eq!(shares(vec![point(3.0)], &[1e9]), None);
+        // Coincident points have the mean; a missing handle has no depth; a line has two columns.
+        let pair = vec![point(0.0), point(0.0), point(20.0)];
+        assert_eq!(shares(pair, &[4.0, 5.0, 6.0]), Some(vec![0.25, 1.0]));
+        let missing = vec![point(0.0), Handle::Missing, point(20.0)];
+        assert_eq!(shares(missing, &[4.0, 1000.0, 6.0]), Some(vec![0.0, 1.0]));
+        let line = Handle::Polyline(vec![Point::new(5.0, 5.0), Point::new(9.0, 5.0)]);
+        assert_eq!(
+            shares(vec![point(0.0), line], &[1.0, 3.0]),
+            Some(vec![0.0, 1.0, 1.0])
+        );
+    }
 }

@@ -80,14 +80,14 @@ impl Coverage {
         self.inverse.computed_width()
     }
 
-    /// Writes the coverage of every pixel of the target rows `rows`, 0 to 255. Shapes:
-    /// `out: [rows][width]`.
+    /// Writes the coverage of every pixel of the target rows `rows`, 0 to 255; anything when
+    /// `cancelled` returns true. Shapes: `out: [rows][width]`.
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
-    pub fn rows(&self, rows: Range<u32>, out: &mut [u8]) {
+    pub fn rows(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         let mut positions = vec![[0.0; 2]; out.len()];
-        self.inverse.rows(rows.clone(), &mut positions);
+        self.inverse.rows(rows.clone(), &mut positions, cancelled);
         for (out, [u, _]) in out.iter_mut().zip(&positions) {
             *out = if u.is_nan() { 0 } else { u8::MAX };
         }
@@ -95,6 +95,9 @@ impl Coverage {
         let mut is_measured = vec![false; out.len()];
         let mut triangles = Vec::new();
         for outline in &self.outlines {
+            if cancelled() {
+                return;
+            }
             pixels_near(outline, &rows, width, |x, y| {
                 let index = (y - rows.start) as usize * width as usize + x as usize;
                 if !std::mem::replace(&mut is_measured[index], true)

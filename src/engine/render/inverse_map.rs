@@ -115,11 +115,11 @@ impl InverseMap {
     }
 
     /// Writes the source position of every pixel of the target rows `rows`, px; NaN where nothing
-    /// is drawn. Shapes: `out: [rows][width]`.
+    /// is drawn, and also elsewhere when `cancelled` returns true. Shapes: `out: [rows][width]`.
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
-    pub fn rows(&self, rows: Range<u32>, out: &mut [[f32; 2]]) {
+    pub fn rows(&self, rows: Range<u32>, out: &mut [[f32; 2]], cancelled: &dyn Fn() -> bool) {
         assert!(rows.end <= self.target.height(), "rows lie in the target");
         assert_eq!(
             out.len(),
@@ -152,7 +152,7 @@ impl InverseMap {
                 let most = self.source.map(|side| side as f32);
                 out.fill([f32::NAN; 2]);
                 for drawing in drawings {
-                    drawing.positions(&rows, most, out);
+                    drawing.positions(&rows, most, out, cancelled);
                 }
             }
         }

@@ -334,12 +334,12 @@ impl Renderer {
         self.level
     }
 
-    /// Draws the target rows `rows`. Shapes: `out: [rows][width][channels]`, straight samples in
-    /// PNG order (16-bit big-endian).
+    /// Draws the target rows `rows`, or less when `cancelled` returns true. Shapes:
+    /// `out: [rows][width][channels]`, straight samples in PNG order (16-bit big-endian).
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
-    pub fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+    pub fn band(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         assert!(
             rows.end <= self.options.target.height(),
             "rows lie in the target"
@@ -369,7 +369,7 @@ impl Renderer {
             }
             Work::Draw(drawings) => {
                 for drawing in drawings {
-                    drawing.band(&self.source, self.channels, &rows, out);
+                    drawing.band(&self.source, self.channels, (&rows, out), cancelled);
                 }
             }
         }

@@ -3,7 +3,8 @@
 //! and one row that repeat the last ones, so that a kernel may load a pair of texels at any pixel.
 //! Each sample is stored minus 128, as the signed operand of a byte product.
 
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock, TryLockError};
+use std::time::Duration;
 
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 
@@ -23,6 +24,8 @@ pub struct Source {
 }
 
 const NEVER: &dyn Fn() -> bool = &|| false;
+/// How long a thread waits for another one's copy before it looks whether it is cancelled.
+const LOOK_AGAIN: Duration = Duration::from_millis(1);
 
 impl Source {
     /// Wraps a decoded image.
@@ -83,7 +86,7 @@ impl Source {
         else {
             return Some(self);
         };
-        let level = self.copy(cell, || {
+        let level = self.copy(cell, cancelled, || {
             let pixmap = self.pixmap.reduced(k, cancelled)?;
             Some(Box::new(Self {
                 pixmap,
@@ -95,18 +98,26 @@ impl Source {
         Some(level)
     }
 
-    /// A copy, made now if it has not been made.
+    /// A copy, made now if it has not been made. Who waits for another thread that makes one looks
+    /// at its own cancellation.
     fn copy<'a, T>(
         &self,
         cell: &'a OnceLock<T>,
+        cancelled: &dyn Fn() -> bool,
         make: impl FnOnce() -> Option<T>,
     ) -> Option<&'a T> {
-        if let Some(copy) = cell.get() {
-            return Some(copy);
-        }
-        // A panic while a copy is made leaves no part of it behind, so the lock is as good as
-        // before.
-        let _making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let _making = loop {
+            if let Some(copy) = cell.get() {
+                return Some(copy);
+            }
+            match self.making.try_lock() {
+                Ok(making) => break making,
+                // A panic while a copy is made leaves no part of it behind.
+                Err(TryLockError::Poisoned(making)) => break making.into_inner(),
+                Err(TryLockError::WouldBlock) if cancelled() => return None,
+                Err(TryLockError::WouldBlock) => std::thread::sleep(LOOK_AGAIN),
+            }
+        };
         match cell.get() {
             Some(copy) => Some(copy),
             None => make().map(|copy| cell.get_or_init(|| copy)),
@@ -138,7 +149,7 @@ impl Source {
         let k = self.level_for(size);
         let reduced = self.make_level(k, cancelled)?;
         if let (true, Samples::Eight(samples)) = (is_packed, reduced.pixmap.samples()) {
-            reduced.copy(&reduced.packed, || {
+            reduced.copy(&reduced.packed, cancelled, || {
                 Packed::new(&reduced.pixmap, samples, cancelled)
             })?;
         }
@@ -149,7 +160,8 @@ impl Source {
     pub(super) fn packed(&self) -> Option<&Packed> {
         match self.pixmap.samples() {
             Samples::Eight(samples) => {
-                self.copy(&self.packed, || Packed::new(&self.pixmap, samples, NEVER))
+                let packed = || Packed::new(&self.pixmap, samples, NEVER);
+                self.copy(&self.packed, NEVER, packed)
             }
             Samples::Sixteen(_) => None,
         }
@@ -216,5 +228,37 @@ impl Packed {
 
     fn texels(extent: Extent) -> u64 {
         (u64::from(extent.width()) + 1) * (u64::from(extent.height()) + 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+
+    use super::*;
+
+    #[test]
+    fn who_waits_for_a_copy_of_another_thread_can_be_cancelled() {
+        let extent = Extent::new(2, 1).unwrap();
+        let source = Source::new(Pixmap::new(
+            extent,
+            Channels::Rgb,
+            Samples::Eight(vec![0; 6]),
+        ));
+        let (source, cell) = (&source, &OnceLock::new());
+        let (begins, began) = mpsc::channel();
+        let (ends, end) = mpsc::channel();
+        std::thread::scope(|scope| {
+            let make = move || {
+                begins.send(()).unwrap();
+                end.recv().ok()
+            };
+            let maker = scope.spawn(move || source.copy(cell, NEVER, make).copied());
+            began.recv().unwrap();
+            assert_eq!(source.copy(cell, &|| true, || Some(1)), None);
+            ends.send(7).unwrap();
+            assert_eq!(source.copy(cell, NEVER, || Some(1)), Some(&7));
+            assert_eq!(maker.join().unwrap(), Some(7));
+        });
     }
 }

@@ -190,14 +190,19 @@ impl CoordinateMap {
     /// The bytes of a band; those of the first begin with the head of the file, those of the last
     /// end with its tail.
     ///
+    /// # Errors
+    /// Cancelled.
+    ///
     /// # Panics
     /// If there is no such band.
-    #[must_use]
-    pub fn band(&self, band: u32) -> Vec<u8> {
+    pub fn band(&self, band: u32, cancelled: IsCancelled<'_>) -> Result<Vec<u8>, WarpError> {
         let rows = self.rows(band);
         assert!(!rows.is_empty(), "band {band} of {}", self.bands());
         let mut positions = vec![[0.0; 2]; rows.len() * self.target.extent.width() as usize];
-        self.positions.rows(rows, &mut positions);
+        self.positions.rows(rows, &mut positions, cancelled);
+        if cancelled() {
+            return Err(WarpError::Cancelled);
+        }
         let mut bytes = if band == 0 { self.head() } else { Vec::new() };
         bytes.reserve_exact(8 * positions.len());
         // Indices of an array: the centre of the first pixel is 0, 0.
@@ -215,7 +220,7 @@ impl CoordinateMap {
         {
             bytes.extend(tiff.tail());
         }
-        bytes
+        Ok(bytes)
     }
 
     fn head(&self) -> Vec<u8> {

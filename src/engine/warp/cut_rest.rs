@@ -33,10 +33,10 @@ pub(super) struct CutRest {
 }
 
 impl CutRest {
-    /// Cells have `side` px, a whole number. Also returns the bytes of the table of coefficients; a
-    /// mesh of the method itself has none.
+    /// Cells have `side` px, a whole number. `of_vertex`: operations of a vertex. Also returns the
+    /// bytes of the table of coefficients; a mesh of the method itself has none.
     pub(super) fn new(
-        field: &RestDeformation,
+        (field, of_vertex): (&RestDeformation, u64),
         mask: &Mask,
         side: f64,
         limits: &Limits,
@@ -56,11 +56,8 @@ impl CutRest {
         let vertices = lattice.vertices().len();
         let bytes = CoefficientTable::bytes_for(field, vertices);
         at_most(Quantity::PlanBytes, limits.plan_bytes, bytes)?;
-        work::at_most(
-            Task::Grid,
-            limits.work,
-            (vertices as u64).saturating_mul(work::of_vertex(field)),
-        )?;
+        let operations = (vertices as u64).saturating_mul(of_vertex);
+        work::at_most(Task::Grid, limits.work, operations)?;
         let cells = lattice.cells_of(mask, cancelled);
         let pixels = lattice.pixels(mask, cancelled);
         let (Some(cells), Some(pixels)) = (cells, pixels) else {
@@ -131,9 +128,13 @@ impl CutRest {
         field.carried(of_columns, self.vertices.len(), &vertex, cancelled)
     }
 
-    /// The order of drawing by the depths of the vertices.
-    pub(super) fn order(&self, depth: &[f32], range: [f64; 2]) -> Option<DrawingOrder> {
-        DrawingOrder::of_quads(&self.cells, depth, range)
+    /// The order of drawing by the depths of the vertices; the outer `None`: cancelled.
+    pub(super) fn order(
+        &self,
+        depth: &[f32],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Option<DrawingOrder>> {
+        DrawingOrder::of_quads(&self.cells, depth, cancelled)
     }
 
     /// Number of quads.

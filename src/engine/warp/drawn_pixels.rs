@@ -126,13 +126,13 @@ fn draw_rows(
         let first = u32::try_from(index * step as usize).ok()?;
         let rows = first..first.saturating_add(step).min(layout.extent.height());
         if layout.pixel_bytes() == drawn {
-            drawer.band(rows, out);
-            return Some(());
+            drawer.band(rows, out, cancelled);
+            return (!cancelled()).then_some(());
         }
         scratch.resize(out.len() / layout.pixel_bytes() * drawn, 0);
-        drawer.band(rows, scratch);
+        drawer.band(rows, scratch, cancelled);
         keep(layout, scratch, drawn, out);
-        Some(())
+        (!cancelled()).then_some(())
     };
     out.par_chunks_mut(row * step as usize)
         .enumerate()

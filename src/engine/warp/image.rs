@@ -7,6 +7,8 @@ use super::region::{for_each_pixel, occupied_words};
 use super::{Digest, WarpError};
 #[cfg(feature = "codec")]
 use crate::codec::{self, ImageLimits, Metadata, Opened, StepCounter};
+#[cfg(feature = "codec")]
+use crate::deform::IsCancelled;
 use crate::format::Repairs;
 use crate::pixmap::{Channels, Depth, Extent, PixelFormat, Pixels, Pixmap, Samples};
 use crate::render::Source;
@@ -68,23 +70,27 @@ impl Image {
             .saturating_add(codec::PROFILE_BYTES + codec::METADATA_BYTES)
     }
 
-    /// Decodes a file within limits. CPU work; do not call it on async threads.
+    /// Decodes a file within limits. CPU work; do not call it on async threads. Stops when
+    /// `cancelled` returns true.
     ///
     /// # Errors
-    /// See [`codec::CodecError`].
+    /// See [`codec::CodecError`]; cancelled.
     ///
     /// ```
     /// use mlswarp::warp::{Image, ImageLimits};
     /// let file = include_bytes!("../test_files/images/chelsea.png");
-    /// let image = Image::decode(file, &ImageLimits::default())?;
+    /// let image = Image::decode(file, &ImageLimits::default(), &|| false)?;
     /// assert_eq!((image.extent().width(), image.extent().height()), (451, 300));
     /// # Ok::<(), mlswarp::warp::WarpError>(())
     /// ```
-    pub fn decode(file: &[u8], limits: &ImageLimits) -> Result<Self, WarpError> {
-        Self::decode_as(
-            Self::digest_of(file),
-            &codec::open(file, limits, &StepCounter::new(&|| false))?,
-        )
+    pub fn decode(
+        file: &[u8],
+        limits: &ImageLimits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        let steps = StepCounter::new(cancelled);
+        let opened = codec::open(file, limits, &steps)?;
+        Self::decode_as(Self::digest_of(file), &opened)
     }
 
     /// Like [`Self::decode`], for an opened file whose digest is known.

@@ -8,6 +8,8 @@ use super::digest::Collector;
 use super::{Digest, WarpError};
 #[cfg(feature = "codec")]
 use crate::codec::{self, Metadata, Opened, StepCounter};
+#[cfg(feature = "codec")]
+use crate::deform::IsCancelled;
 use crate::format::Repairs;
 use crate::pixmap::{Channels, Depth, Extent, Labels, PixelLayout, extent_of};
 
@@ -33,15 +35,19 @@ impl LabelImage {
         opened.label_bytes()
     }
 
-    /// Decodes a file within limits. CPU work; do not call it on async threads.
+    /// Decodes a file within limits. CPU work; do not call it on async threads. Stops when
+    /// `cancelled` returns true.
     ///
     /// # Errors
-    /// See [`codec::CodecError`].
-    pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(
-            Digest::of(file),
-            &codec::open_labels(file, &limits.image, &StepCounter::new(&|| false))?,
-        )
+    /// See [`codec::CodecError`]; cancelled.
+    pub fn decode(
+        file: &[u8],
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        let steps = StepCounter::new(cancelled);
+        let opened = codec::open_labels(file, &limits.image, &steps)?;
+        Self::decode_as(Digest::of(file), &opened)
     }
 
     /// Like [`Self::decode`], for a file opened by [`codec::open_labels`] whose digest is known.

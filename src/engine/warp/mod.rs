@@ -79,6 +79,7 @@ pub use self::region::Region;
 #[cfg(feature = "codec")]
 pub use self::render_job::RenderJob;
 pub use self::resolved_rest::ResolvedRest;
+pub use self::rest_depth::OrderOfCells;
 pub use self::spec::{
     Align, Folds, GridSpec, Holes, Limits, Metric, OutputSpec, RestSpec, Units, system_bytes,
 };

@@ -55,10 +55,16 @@ impl PixelPositions {
         band_rows(BAND_POSITIONS, computed)
     }
 
-    /// The positions of some rows, NaN where nothing is. Shapes: `out: [rows][width]`.
-    pub(crate) fn rows(&self, rows: Range<u32>, out: &mut [[f32; 2]]) {
+    /// The positions of some rows, NaN where nothing is; anything when cancelled. Shapes:
+    /// `out: [rows][width]`.
+    pub(crate) fn rows(
+        &self,
+        rows: Range<u32>,
+        out: &mut [[f32; 2]],
+        cancelled: &dyn Fn() -> bool,
+    ) {
         match &self.source {
-            PositionSource::Inverse(inverse) => inverse.rows(rows, out),
+            PositionSource::Inverse(inverse) => inverse.rows(rows, out, cancelled),
             PositionSource::Forward(mesh) => {
                 forward(mesh, self.target.canvas, self.target.extent, rows, out);
             }

@@ -168,12 +168,12 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
     let mut places = vec![[0.0; 2]; width as usize * STRIP_ROWS as usize];
     let mut covered = 0_u32;
     for y in (0..height).step_by(STRIP_ROWS as usize) {
+        let rows = y..height.min(y + STRIP_ROWS);
+        let places = &mut places[..width as usize * rows.len()];
+        map.rows(rows, places, cancelled);
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        let rows = y..height.min(y + STRIP_ROWS);
-        let places = &mut places[..width as usize * rows.len()];
-        map.rows(rows, places);
         covered += places
             .iter()
             .map(|[x, _]| u32::from(!x.is_nan()))

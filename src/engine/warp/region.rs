@@ -314,11 +314,11 @@ impl MaskDrawer {
     }
 
     /// The weights of the pixels of target rows, 0 to [`FULL_WEIGHT`].
-    pub(super) fn weights(&self, rows: Range<u32>) -> Vec<u16> {
+    pub(super) fn weights(&self, rows: Range<u32>, cancelled: &dyn Fn() -> bool) -> Vec<u16> {
         let (count, depth) = (self.renderer.channels().count(), self.renderer.depth());
         let mut samples =
             vec![0; rows.len() * self.renderer.target().width() as usize * count * depth.bytes()];
-        self.renderer.band(rows, &mut samples);
+        self.renderer.band(rows, &mut samples, cancelled);
         let pixels = samples.chunks_exact(count * depth.bytes());
         let weight = |pixel: &[u8]| {
             let mut values = [FULL_WEIGHT; 4];

@@ -9,6 +9,7 @@ use super::posed_mesh::PosedMesh;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
 use super::{Digest, Holes, Limits, OutputSpec, RasterSource, Target, WarpError};
 use crate::codec::Writer;
+use crate::deform::IsCancelled;
 use crate::format::Format;
 use crate::parallel::with_helpers;
 use crate::render::{Canvas, Filter, Outside};
@@ -24,24 +25,24 @@ pub struct RenderJob {
 }
 
 impl RenderJob {
-    /// Prepares the drawing of a posed mesh: tens of microseconds.
+    /// Prepares the drawing of a posed mesh: tens of microseconds, and up to a nanosecond or two
+    /// per pixel for the copies of the source that the first drawing of its kind makes. Stops
+    /// when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`OutputSpec::target`] and [`RasterSource::check`].
+    /// Those of [`OutputSpec::target`] and [`RasterSource::check`]; cancelled.
     pub fn new(
         source: RasterSource<'_>,
         posed: &PosedMesh,
         output: &OutputSpec,
         limits: &Limits,
+        cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
         source.check(output)?;
         posed.check_outside(output.outside)?;
-        Ok(Self::onto(
-            output.target(source.extent(), posed, limits, &|| false)?,
-            source,
-            posed,
-            output,
-        ))
+        let target = output.target(source.extent(), posed, limits, cancelled)?;
+        source.make_copies(target, posed, output, cancelled)?;
+        Ok(Self::onto(target, source, posed, output))
     }
 
     /// Prepares the drawing of a target of `output`.

@@ -7,7 +7,7 @@ use super::cut_rest::{self, CutRest};
 use super::plausibility;
 use super::rest_depth::RestDepth;
 use super::rest_parameters::{
-    AUTO_CELL, check_parameters, field, plan_key, resolve_grid, to_px, unit,
+    AUTO_CELL, auto_cell, check_parameters, field, plan_key, resolve_grid, to_px, unit,
 };
 use super::spec::at_most;
 use super::{
@@ -130,10 +130,6 @@ impl ResolvedRest {
             None => field,
         };
         let field = field.map_err(WarpError::of_rest)?;
-        // Of a cut grid only some vertices are used, often few.
-        let vertices = if mask.is_some() { 0 } else { grid.len() as u64 };
-        let of_grid = vertices.saturating_mul(work::of_vertex(&field));
-        work::at_most(Task::Grid, limits.work, of_grid)?;
         let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         warnings.extend(rest.left_out());
         let mut known = rest.mask.clone();
@@ -152,7 +148,7 @@ impl ResolvedRest {
         let resolved = Self { depth, ..resolved };
         match mask {
             Some(mask) => resolved.cut_along(&mask, limits, cancelled),
-            None => Ok(resolved),
+            None => resolved.check_grid().map(|()| resolved),
         }
     }
 
@@ -163,7 +159,9 @@ impl ResolvedRest {
         limits: &Limits,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let (cut, bytes) = CutRest::new(&self.field, mask, self.grid.cell().0, limits, cancelled)?;
+        let of_vertex = self.work_of_vertex();
+        let (field, side) = ((&*self.field, of_vertex), self.grid.cell().0);
+        let (cut, bytes) = CutRest::new(field, mask, side, limits, cancelled)?;
         Ok(Self {
             tolerance: None,
             table_bytes: bytes,
@@ -219,28 +217,56 @@ impl ResolvedRest {
     /// # Errors
     /// The grid exceeds a limit.
     pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
-        let (width, height) = self.grid.cell();
-        // The cells of a cut grid are as small as its mask asks for.
-        let is_usual = |side: &f64| (AUTO_CELL.0..=AUTO_CELL.1).contains(side);
-        if self.cut.is_some() || [width, height].iter().all(is_usual) {
+        if self.is_inverted_itself() {
             return Ok(self.clone());
         }
-        let grid = resolve_grid(
-            GridSpec::Auto,
-            self.grid.width(),
-            self.grid.height(),
-            limits,
-        )?;
-        work::at_most(
-            Task::Grid,
-            limits.work,
-            (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)),
-        )?;
+        let (width, height) = (self.grid.width(), self.grid.height());
+        let grid = resolve_grid(GridSpec::Auto, width, height, limits)?;
         let (mask, warnings) = (self.mask.clone(), self.warnings.clone());
         let rest = (self.units, self.mixed, mask, warnings);
-        let depth = self.depth.as_ref().map(|depth| depth.unordered());
+        let depth = self.depth.as_ref().map(|depth| depth.to_invert());
         let resolved = Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits);
-        Ok(Self { depth, ..resolved })
+        let resolved = Self { depth, ..resolved };
+        resolved.check_grid().map(|()| resolved)
+    }
+
+    /// Whether the inverse is searched on this grid. The cells of a cut grid are as small as its
+    /// mask asks for.
+    fn is_inverted_itself(&self) -> bool {
+        let (width, height) = self.grid.cell();
+        let is_usual = |side: &f64| (AUTO_CELL.0..=AUTO_CELL.1).contains(side);
+        self.cut.is_some() || [width, height].iter().all(is_usual)
+    }
+
+    /// About the number of cells of the grid on which the inverse is searched, if that is another
+    /// one.
+    pub(super) fn cells_to_invert(&self) -> u64 {
+        let (width, height) = (self.grid.width(), self.grid.height());
+        let other = || Grid::with_cell(width, height, auto_cell(width, height)).len() as u64;
+        if self.is_inverted_itself() {
+            0
+        } else {
+            other()
+        }
+    }
+
+    /// Checks the work of the grid's coefficients, and of its order of drawing. A mesh of the
+    /// method itself is checked where it is made.
+    ///
+    /// Errors: More than the limit.
+    pub(super) fn check_grid(&self) -> Result<(), WarpError> {
+        if self.field.mesh_cells().is_some() {
+            return Ok(());
+        }
+        let operations = self.posed_vertices().saturating_mul(self.work_of_vertex());
+        work::at_most(Task::Grid, self.max_work, operations)
+    }
+
+    /// Operations of a vertex before it is posed: its coefficients, and its depth, for which the
+    /// handles are weighed once more unless the coefficients have their weights.
+    fn work_of_vertex(&self) -> u64 {
+        let of_depth = || work::of_position(&self.field);
+        work::of_vertex(&self.field) + self.depth.as_ref().map_or(0, |_| of_depth())
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, the
@@ -286,7 +312,7 @@ impl ResolvedRest {
     }
 
     /// Vertices that are posed: of a cut grid those of its quads, not of its cells.
-    fn posed_vertices(&self) -> u64 {
+    pub(super) fn posed_vertices(&self) -> u64 {
         let own = || self.grid.len() as u64;
         self.cut.as_ref().map_or_else(own, |cut| cut.vertices())
     }

@@ -37,37 +37,38 @@ impl RestSpec {
 /// The depths of handles that do not all have the same, on one grid.
 #[derive(Debug)]
 pub(super) struct RestDepth {
+    /// Shares of the range of all.
     of_columns: Vec<f64>,
-    /// Once a pose has needed it; within, `None` if cells are drawn row by row.
+    /// Once it has been needed; within, `None` if cells are drawn row by row.
     order: OnceLock<Option<Arc<DrawingOrder>>>,
+    /// The same depths on the grid on which the inverse is searched, if that is another one.
+    to_invert: OnceLock<Arc<Self>>,
 }
+
+/// The order in which the cells of a grid are drawn, for all setups of the same handles, depths and
+/// grid.
+#[derive(Clone, Debug)]
+pub struct OrderOfCells(Option<Arc<DrawingOrder>>);
 
 impl RestDepth {
     /// `None` if nothing follows from the depths, which have been checked.
     pub(super) fn new(field: &RestDeformation, depth: Option<&[f64]>) -> Option<Arc<Self>> {
-        let of_columns = field.per_column(depth?);
-        let differs = |pair: &[f64]| pair[0].to_bits() != pair[1].to_bits();
-        of_columns.windows(2).any(differs).then(|| {
-            Arc::new(Self {
-                of_columns,
-                order: OnceLock::new(),
-            })
-        })
+        Some(Self::of_columns(field.shares_of_columns(depth?)?))
     }
 
-    /// The same depths for another grid, whose order is not computed yet.
-    pub(super) fn unordered(&self) -> Arc<Self> {
+    fn of_columns(of_columns: Vec<f64>) -> Arc<Self> {
         Arc::new(Self {
-            of_columns: self.of_columns.clone(),
+            of_columns,
             order: OnceLock::new(),
+            to_invert: OnceLock::new(),
         })
     }
 
-    fn range(&self) -> [f64; 2] {
-        let all = self.of_columns.iter();
-        all.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], d| {
-            [least.min(*d), most.max(*d)]
-        })
+    /// The same depths on the grid on which the inverse is searched, of which there is one: its
+    /// order is computed once, too.
+    pub(super) fn to_invert(&self) -> Arc<Self> {
+        let new = || Self::of_columns(self.of_columns.clone());
+        Arc::clone(self.to_invert.get_or_init(new))
     }
 
     /// A digest that knows the depths, too.
@@ -82,22 +83,70 @@ impl ResolvedRest {
     /// The same rest handles with other depths, for which nothing is computed again.
     ///
     /// # Errors
-    /// Another number of depths than of handles, or one out of range.
+    /// Another number of depths than of handles, or one out of range; more work than the limit.
     pub fn with_depth(&self, rest: &RestSpec) -> Result<Self, WarpError> {
         rest.check_depth().map_err(WarpError::Rest)?;
         let mut resolved = self.clone();
         resolved.depth = RestDepth::new(self.field(), rest.depth.as_deref());
+        resolved.check_grid()?;
         Ok(resolved)
     }
 
-    /// Memory of the order of drawing, bytes.
+    /// Memory of the order of drawing, and of that on the grid on which the inverse is searched,
+    /// bytes.
     #[must_use]
     pub fn order_bytes(&self) -> u64 {
-        let grid = || (self.grid().len() as u64).max(1);
-        let cells = self.cut.as_ref().map_or_else(grid, |cut| cut.quads());
         self.depth.as_ref().map_or(0, |depth| {
-            DrawingOrder::bytes_for(cells) + size_of_val(&*depth.of_columns) as u64
+            let cells = self.ordered_cells() + self.cells_to_invert();
+            DrawingOrder::bytes_for(cells) + 2 * size_of_val(&*depth.of_columns) as u64
         })
+    }
+
+    /// The most memory while [`ResolvedRest::order`] computes, bytes.
+    #[must_use]
+    pub fn order_peak_bytes(&self) -> u64 {
+        DrawingOrder::peak_bytes_for(self.posed_vertices(), self.ordered_cells())
+    }
+
+    fn ordered_cells(&self) -> u64 {
+        let grid = || self.grid().len() as u64;
+        self.cut.as_ref().map_or_else(grid, |cut| cut.quads())
+    }
+
+    /// The key of the order of drawing, if handles differ in depth and it has not been computed.
+    #[must_use]
+    pub fn lacks_order(&self) -> Option<Digest> {
+        let depth = self.depth.as_ref()?;
+        let is_lacking = depth.order.get().is_none();
+        is_lacking.then(|| depth.digest(self.plan_key()))
+    }
+
+    /// The order of the cells; computed now if it has not been. CPU work, as much as a plan's
+    /// if the plan has no weights of handles. Stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn order(
+        &self,
+        plan: &CompiledRest,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<OrderOfCells, WarpError> {
+        let Some(depth) = &self.depth else {
+            return Ok(OrderOfCells(None));
+        };
+        if let Some(order) = depth.order.get() {
+            return Ok(OrderOfCells(order.clone()));
+        }
+        let order = self.ordered(depth, plan, cancelled);
+        let order = order.ok_or(WarpError::Cancelled)?.map(Arc::new);
+        Ok(OrderOfCells(depth.order.get_or_init(|| order).clone()))
+    }
+
+    /// Takes an order that was computed for another setup with this key.
+    pub fn keep_order(&self, order: &OrderOfCells) {
+        if let Some(depth) = &self.depth {
+            let _ = depth.order.set(order.0.clone());
+        }
     }
 
     /// A posed mesh whose cells are drawn by the depths of the handles.
@@ -109,40 +158,26 @@ impl ResolvedRest {
         plan: &CompiledRest,
         cancelled: IsCancelled<'_>,
     ) -> Result<Mesh, WarpError> {
-        let Some(depth) = &self.depth else {
-            return Ok(mesh);
-        };
-        let order = match depth.order.get() {
-            Some(order) => order.clone(),
-            None => {
-                let order = self.order(depth, plan, cancelled)?;
-                depth.order.get_or_init(|| order.map(Arc::new)).clone()
-            }
-        };
-        Ok(mesh.in_order(order))
+        Ok(mesh.in_order(self.order(plan, cancelled)?.0))
     }
 
-    fn order(
+    /// The outer `None`: cancelled.
+    fn ordered(
         &self,
         depth: &RestDepth,
         plan: &CompiledRest,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Option<DrawingOrder>, WarpError> {
+    ) -> Option<Option<DrawingOrder>> {
         let (field, of_columns) = (&**self.field(), &depth.of_columns);
-        let of_table = plan.table.as_ref();
-        let of_table = of_table.and_then(|table| table.carried(of_columns));
-        let carried = of_table.map_or_else(
-            || match &self.cut {
-                Some(cut) => cut.carried(field, of_columns, cancelled),
-                None => of_grid(field, self.grid(), of_columns, cancelled),
-            },
-            Some,
-        );
-        let carried = carried.ok_or(WarpError::Cancelled)?;
-        Ok(match &self.cut {
-            Some(cut) => cut.order(&carried, depth.range()),
-            None => DrawingOrder::of_grid(self.grid(), &carried, depth.range()),
-        })
+        let carried = match (&plan.table, &self.cut) {
+            (Some(table), _) if table.has_weights() => table.carried(of_columns, cancelled),
+            (_, Some(cut)) => cut.carried(field, of_columns, cancelled),
+            (_, None) => of_grid(field, self.grid(), of_columns, cancelled),
+        }?;
+        match &self.cut {
+            Some(cut) => cut.order(&carried, cancelled),
+            None => DrawingOrder::of_grid(self.grid(), &carried, cancelled),
+        }
     }
 }
 

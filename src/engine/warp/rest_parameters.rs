@@ -99,9 +99,7 @@ pub(super) fn resolve_grid(
         GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCE_RANGE_PX.contains(&tolerance) => {
             Err(WarpError::BadGrid(GridError::Tolerance(tolerance)))
         }
-        GridSpec::Auto | GridSpec::Tolerance(_) => {
-            with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1))
-        }
+        GridSpec::Auto | GridSpec::Tolerance(_) => with_cell(auto_cell(width, height)),
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => Err(WarpError::BadGrid(GridError::Cell(cell))),
@@ -113,6 +111,11 @@ pub(super) fn resolve_grid(
             Err(WarpError::BadGrid(GridError::Counts { columns, rows }))
         }
     }
+}
+
+/// The side of a cell of `grid: auto`, px.
+pub(super) fn auto_cell(width: f64, height: f64) -> f64 {
+    (width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)
 }
 
 pub(super) fn unit(units: Units, grid: &Grid) -> (f64, f64) {

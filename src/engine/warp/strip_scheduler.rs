@@ -113,7 +113,8 @@ impl<W: Deref<Target = RenderJob>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>>
             for (first, band) in bands {
                 if watch.is_wanted() {
                     watch.around(Stage::Render, &mut || {
-                        drawer.band(first..rows.end.min(first + step), band)
+                        let rows = first..rows.end.min(first + step);
+                        drawer.band(rows, band, &|| !watch.is_wanted());
                     });
                 }
             }

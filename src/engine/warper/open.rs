@@ -65,7 +65,7 @@ impl Image {
     /// ```
     pub fn open(path: impl AsRef<Path>) -> Result<Self, FileError> {
         let file = std::fs::read(path)?;
-        Ok(Self::decode(&file, &Limits::default().image)?)
+        Ok(Self::decode(&file, &Limits::default().image, &|| false)?)
     }
 }
 
@@ -76,7 +76,7 @@ impl LabelImage {
     /// Those of [`Image::open`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, FileError> {
         let file = std::fs::read(path)?;
-        Ok(Self::decode(&file, &Limits::default())?)
+        Ok(Self::decode(&file, &Limits::default(), &|| false)?)
     }
 }
 
@@ -161,11 +161,11 @@ impl Rendering<'_> {
             format,
             ..*self.output()
         };
-        self.source().check(&output)?;
-        let target = self.target(&output)?;
-        let posed = self.posed().posed_mesh();
-        posed.check_outside(output.outside)?;
-        Ok(RenderJob::onto(target, self.source(), posed, &output))
+        let (source, posed) = (self.source(), self.posed().posed_mesh());
+        let warper = self.posed().warper();
+        warper.cancellable(|cancelled| {
+            RenderJob::new(source, posed, &output, warper.limits(), cancelled)
+        })
     }
 
     fn write_job(&self, job: &RenderJob, out: &mut (dyn Write + Send)) -> Result<(), FileError> {

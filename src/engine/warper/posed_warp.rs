@@ -318,8 +318,9 @@ impl PosedWarp {
                 .unwrap_or(u32::MAX)
                 .saturating_mul(band);
             let last = first.saturating_add(band).min(extent.height());
-            self.warper.cancellable(|cancelled| !cancelled()).then(|| {
-                positions.rows(first..last, out);
+            self.warper.cancellable(|cancelled| {
+                positions.rows(first..last, out, cancelled);
+                (!cancelled()).then_some(())
             })
         };
         map.par_chunks_mut(row * band as usize)

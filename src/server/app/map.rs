@@ -83,7 +83,7 @@ impl MapBands {
             self.quota.clone(),
         );
         ticket
-            .run(move |_| map_band(&admission, &map, band, &quota))
+            .run(move |cancel| map_band(&admission, &map, band, &quota, cancel))
             .await?
     }
 }
@@ -237,7 +237,7 @@ async fn map_file(app: &App, ticket: &Ticket, job: MapJob) -> Result<MapFile, Pr
         timing.deform = began.elapsed();
         stage("deform", began);
         drawing.metrics.prepared(&timing);
-        let first = map_band(&drawing.admission, &map, 0, &quota)?;
+        let first = map_band(&drawing.admission, &map, 0, &quota, cancel)?;
         let (etag, canvas, format, length) =
             (map.etag(), target.canvas, map.format(), map.file_bytes());
         let rest = MapBands {
@@ -269,9 +269,10 @@ fn map_band(
     map: &CoordinateMap,
     band: u32,
     quota: &ClientQuota,
+    cancel: &Cancel,
 ) -> Result<Bytes, Problem> {
     let mut reservation = admission.reserve_for(MemoryClass::Frame, quota, map.band_bytes())?;
-    let bytes = map.band(band);
+    let bytes = map.band(band, &|| cancel.is_cancelled())?;
     reservation.shrink_to(bytes.len() as u64);
     Ok(reservation.attach(bytes))
 }

@@ -174,6 +174,7 @@ impl App {
             images: Arc::clone(&images),
             limits,
             compiled,
+            orders: Cache::new(0),
             setups,
         });
         Ok(Self(Arc::new(Parts {

@@ -213,15 +213,13 @@ async fn try_replace_handles(
     };
     let (plans, before) = (Arc::clone(&app.plans), Arc::clone(old));
     let of_job = app.clone();
-    // Another depth is often all that changes when a drag begins.
-    let known = plans.setups.peek(revision_key(old));
     let settle = move |cancel: &Cancel| {
         let extent = before.extent;
-        let setup_of =
-            |rest: &RestSpec| match plans.with_depth(rest, &before.rest, known.as_ref())? {
-                Some(setup) => Ok(setup),
-                None => plans.new_setup(rest, extent, content.as_ref(), cancel),
-            };
+        // Another depth is often all that changes when a drag begins.
+        let setup_of = |rest: &RestSpec| match plans.with_depth(rest, &before)? {
+            Some(setup) => Ok(setup),
+            None => plans.new_setup(rest, extent, content.as_ref(), cancel),
+        };
         resolve_by(&of_job, object, extent, setup_of, cancel)
     };
     let Resolved {

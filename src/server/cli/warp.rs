@@ -137,7 +137,7 @@ fn has_own_landmarks(args: &WarpArgs) -> bool {
 
 fn region(config: &Config, path: &Path) -> Result<Region, Failure> {
     let mask = input::read("region", path, Limit::body(config))?;
-    let mask = Image::decode(&mask, &config.limits().image)
+    let mask = Image::decode(&mask, &config.limits().image, &|| false)
         .map_err(|error| Failure::from(error).about(name_of(path)))?;
     Ok(Region::new(&mask))
 }
@@ -215,7 +215,7 @@ impl WarpJob<'_> {
         let landmarks = self.landmarks_of(&image.path)?;
         let file = image.read("image", Limit::body(config))?;
         let limits = &config.limits().image;
-        let decode = |file: &[u8]| Image::decode(file, limits).map_err(Failure::from);
+        let decode = |file: &[u8]| Image::decode(file, limits, &|| false).map_err(Failure::from);
         let region = self.region_of(&image.path)?;
         if let Some((region, name)) = &region {
             let extent = input::extent_of(config, &file).map_err(|error| about(error.into()))?;
@@ -230,7 +230,7 @@ impl WarpJob<'_> {
                 RasterSource::Image(&picture)
             }
             (WarpKind::Labels, _) => {
-                labels = LabelImage::decode(&file, &config.limits())
+                labels = LabelImage::decode(&file, &config.limits(), &|| false)
                     .map_err(|error| about(error.into()))?;
                 RasterSource::Labels(&labels)
             }
@@ -355,7 +355,7 @@ impl WarpJob<'_> {
             Some(region) => posed.within(region.clone()),
             None => posed,
         };
-        let warp = RenderJob::new(source, &posed, &object.output, &limits)?;
+        let warp = RenderJob::new(source, &posed, &object.output, &limits, &|| false)?;
         write(&mut |sink| {
             let mut written = Ok(());
             let _ = warp.write(

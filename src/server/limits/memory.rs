@@ -268,10 +268,20 @@ impl Reservation {
         Ok(())
     }
 
-    /// Releases all but `bytes`.
+    /// Releases all but `bytes`; the memory of the others has been freed.
     pub fn shrink_to(&mut self, bytes: u64) {
+        FREED.add(self.bytes.saturating_sub(bytes));
+        self.release_to(bytes);
+    }
+
+    /// Releases memory that was not allocated after all, or that another reservation counts by now.
+    /// The allocator has nothing of it to return.
+    pub fn release_unused(mut self) {
+        self.release_to(0);
+    }
+
+    fn release_to(&mut self, bytes: u64) {
         let less = self.bytes.saturating_sub(bytes);
-        FREED.add(less);
         self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
         self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
         if let Some(quota) = &self.quota {
@@ -347,6 +357,8 @@ mod tests {
         let part = frame.split(150);
         drop(frame);
         assert_eq!(budget.taken_for(MemoryClass::Frame), 150);
+        let unused = budget.take(MemoryClass::Plan, 50).unwrap();
+        unused.release_unused();
         drop((part, image));
         assert_eq!(budget.taken(), 0);
         assert!(

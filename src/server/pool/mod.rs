@@ -173,11 +173,15 @@ pub struct Cancel {
 }
 
 impl Cancel {
+    /// The result is no longer needed. Always returns at once: for work that other jobs wait for.
+    pub fn is_gone(&self) -> bool {
+        self.is_cancelled.load(Ordering::Relaxed)
+    }
+
     /// The result is no longer needed. Returns later if other clients come first.
     pub fn is_cancelled(&self) -> bool {
-        let is_cancelled = || self.is_cancelled.load(Ordering::Relaxed);
-        self.permit.give_way(&is_cancelled);
-        is_cancelled()
+        self.permit.give_way(&|| self.is_gone());
+        self.is_gone()
     }
 }
 

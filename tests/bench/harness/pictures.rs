@@ -261,6 +261,6 @@ pub fn warped(picture: Pixmap) -> Pixmap {
     let channels = renderer.channels();
     let mut samples =
         vec![0; extent.width() as usize * extent.height() as usize * channels.count()];
-    renderer.band(0..extent.height(), &mut samples);
+    renderer.band(0..extent.height(), &mut samples, &|| false);
     Pixmap::new(extent, channels, Samples::Eight(samples))
 }

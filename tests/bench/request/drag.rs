@@ -39,7 +39,7 @@ impl Drag {
 
     pub fn of_file(file: &[u8], handle_count: usize, grid: GridSpec) -> Self {
         let limits = Limits::default();
-        let extent = Image::decode(file, &limits.image)
+        let extent = Image::decode(file, &limits.image, &|| false)
             .expect("our own picture")
             .extent();
         let (p, _) = handles(handle_count, extent, 1.0);
@@ -59,7 +59,8 @@ impl Drag {
 
     pub fn of_handles(file: &[u8], spec: RestSpec, poses: Vec<Vec<Handle>>) -> Self {
         let limits = Limits::default();
-        let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
+        let image =
+            Arc::new(Image::decode(file, &limits.image, &|| false).expect("our own picture"));
         let setup = ResolvedRest::new(&spec, image.extent(), &limits, &|| false)
             .expect("handles that can be warped");
         let plan = setup.plan(&|| false).expect("nothing cancels it");
@@ -107,6 +108,7 @@ impl Drag {
             &posed,
             &self.output,
             &limits,
+            &|| false,
         );
         self.strips.clear();
         let _ = warp

@@ -38,7 +38,7 @@ static DOCUMENT: LazyLock<Value> = LazyLock::new(|| {
 
 static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
     let file = include_bytes!("../seeds/image/png-6-8");
-    Arc::new(Image::decode(file, &LIMITS.image).expect("a seed that is read"))
+    Arc::new(Image::decode(file, &LIMITS.image, &|| false).expect("a seed that is read"))
 });
 
 pub(super) fn parse(bytes: &[u8]) {
@@ -209,7 +209,13 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
         "a vertex is nowhere"
     );
     let mut bytes = 0;
-    let warp = RenderJob::new(RasterSource::Image(&IMAGE), &posed, &object.output, &LIMITS)?;
+    let warp = RenderJob::new(
+        RasterSource::Image(&IMAGE),
+        &posed,
+        &object.output,
+        &LIMITS,
+        &|| false,
+    )?;
     let _ = warp.write(0, &(), &mut |strip| {
         bytes += strip.len();
         ControlFlow::Continue(())
@@ -240,9 +246,8 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
             &posed,
             spec.target(&posed, extent, &LIMITS, &|| false)?,
         )?;
-        let bytes: u64 = (0..map.bands())
-            .map(|band| map.band(band).len() as u64)
-            .sum();
+        let bands = (0..map.bands()).map(|band| Ok(map.band(band, &|| false)?.len() as u64));
+        let bytes: u64 = bands.sum::<Result<_, Problem>>()?;
         assert_eq!(bytes, map.file_bytes());
     }
     Ok(())

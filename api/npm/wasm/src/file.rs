@@ -74,7 +74,7 @@ pub(crate) fn warp(file: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Ve
     let limits = Limits::default();
     let mut object = object(warp)?;
     object.posed()?;
-    let image = Image::decode(file, &limits.image)?;
+    let image = Image::decode(file, &limits.image, &|| false)?;
     let extent = image.extent();
     let region = match region {
         Some(region) => Some(Region::new(
@@ -98,7 +98,7 @@ pub(crate) fn warp(file: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Ve
         Some(region) => posed.within(region),
         None => posed,
     };
-    let job = RenderJob::new(subject, &posed, &object.output, &limits)?;
+    let job = RenderJob::new(subject, &posed, &object.output, &limits, &|| false)?;
     let mut written = Vec::new();
     let _ = job.write(0, &(), &mut |bytes| {
         written.push(bytes);
@@ -112,7 +112,7 @@ pub(crate) fn warp(file: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Ve
 }
 
 fn mask(file: &[u8], extent: Extent, limits: &Limits) -> Result<Image, Problem> {
-    let mask = Image::decode(file, &limits.image)?;
+    let mask = Image::decode(file, &limits.image, &|| false)?;
     let found = mask.extent();
     if found == extent {
         return Ok(mask);

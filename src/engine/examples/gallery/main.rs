@@ -31,7 +31,7 @@ impl Picture {
     pub(crate) fn open(path: &Path) -> Result<Self, Box<dyn Error>> {
         let file = std::fs::read(path)?;
         let pixmap = mlswarp::codec::decode(&file, &ImageLimits::default(), &|| false)?.pixmap;
-        let image = Image::decode(&file, &ImageLimits::default())?;
+        let image = Image::decode(&file, &ImageLimits::default(), &|| false)?;
         let mask = RestMask::of_image(&image, None, RestMask::THRESHOLD, &|| false);
         Ok(Self {
             mask: mask.ok_or("nothing cancels it")?,

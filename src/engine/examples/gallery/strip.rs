@@ -61,7 +61,7 @@ impl PanelStrip {
         };
         let renderer = Renderer::new(Arc::clone(source), mesh, options);
         let mut pixels = vec![0; 4 * (PANEL * self.size.height()) as usize];
-        renderer.band(0..self.size.height(), &mut pixels);
+        renderer.band(0..self.size.height(), &mut pixels, &|| false);
         let left = self.left(index);
         for (k, pixel) in pixels.as_chunks::<4>().0.iter().enumerate() {
             let (x, y) = (k % PANEL as usize, k / PANEL as usize);

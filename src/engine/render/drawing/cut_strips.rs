@@ -18,6 +18,7 @@ impl Drawing {
         cut: &SnappedCut,
         strip: &Range<u32>,
         scratch: &mut StripScratch,
+        cancelled: &dyn Fn() -> bool,
     ) {
         let (width, rows) = (self.width(), strip.len());
         let pitch = width + SLACK_PIXELS;
@@ -76,9 +77,9 @@ impl Drawing {
         for (k, quad) in meeting.enumerate() {
             if k % QUADS_PER_LOOK == 0 {
                 raster.shrink();
-            }
-            if raster.open == 0 {
-                break;
+                if raster.open == 0 || cancelled() {
+                    break;
+                }
             }
             if quad.is_partial() {
                 // What the quad covers is found first: it leaves the texels of others uncovered.

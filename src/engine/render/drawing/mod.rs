@@ -99,14 +99,14 @@ impl Drawing {
         }
     }
 
-    /// Draws the part of target rows that lies in the window. Shapes:
+    /// Draws the part of target rows that lies in the window, or less when cancelled. Shapes:
     /// `out: [rows][width of the target]`, pixels.
     pub(super) fn band(
         &self,
         source: &Source,
         channels: Channels,
-        rows: &Range<u32>,
-        out: &mut [u8],
+        (rows, out): (&Range<u32>, &mut [u8]),
+        cancelled: &dyn Fn() -> bool,
     ) {
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let pitch = out.len() / rows.len() / pixel;
@@ -118,7 +118,7 @@ impl Drawing {
             channels,
         };
         let mut samples = self.footprints.is_some().then(AveragedSamples::default);
-        self.each_line(rows, |at, line, scratch| {
+        self.each_line(rows, cancelled, |at, line, scratch| {
             self.paint(sampled, line, scratch, samples.as_mut(), (at * pitch, out))
         });
         if let Some(samples) = &mut samples {
@@ -127,9 +127,16 @@ impl Drawing {
     }
 
     /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves
-    /// the others. The filter is [`Filter::Nearest`] and the level 0, so that the sampler's
-    /// coordinates are px of the source. Shapes: `out: [rows][width of the target]`.
-    pub(super) fn positions(&self, rows: &Range<u32>, most: [f32; 2], out: &mut [[f32; 2]]) {
+    /// the others, or fewer when cancelled. The filter is [`Filter::Nearest`] and the level 0, so
+    /// that the sampler's coordinates are px of the source. Shapes:
+    /// `out: [rows][width of the target]`.
+    pub(super) fn positions(
+        &self,
+        rows: &Range<u32>,
+        most: [f32; 2],
+        out: &mut [[f32; 2]],
+        cancelled: &dyn Fn() -> bool,
+    ) {
         debug_assert!(self.filter == Filter::Nearest && self.level == 0);
         let Window {
             columns,
@@ -137,7 +144,7 @@ impl Drawing {
             ..
         } = &self.window;
         let pitch = out.len() / rows.len();
-        self.each_line(rows, |at, (_, start), scratch| {
+        self.each_line(rows, cancelled, |at, (_, start), scratch| {
             for run in &scratch.runs {
                 let run = run.start.max(columns.start)..run.end;
                 if run.is_empty() {
@@ -153,11 +160,13 @@ impl Drawing {
     }
 
     /// Computes the coordinates of the target rows that lie in the window: the index of each among
-    /// `rows`, the row of the window, and where it begins in the scratch.
+    /// `rows`, the row of the window, and where it begins in the scratch. Cancellation is checked
+    /// for each strip, and within it where cells are drawn one by one.
     #[inline(always)]
     fn each_line(
         &self,
         rows: &Range<u32>,
+        cancelled: &dyn Fn() -> bool,
         mut draw: impl FnMut(usize, (u32, usize), &StripScratch),
     ) {
         let Window {
@@ -178,7 +187,10 @@ impl Drawing {
         let within = drawn.start + (start - top)..drawn.start + (end - top);
         for first in within.clone().step_by(STRIP_ROWS as usize) {
             let strip = first..within.end.min(first.saturating_add(STRIP_ROWS));
-            self.prepare(&strip, &mut scratch);
+            self.prepare(&strip, &mut scratch, cancelled);
+            if cancelled() {
+                return;
+            }
             if self.is_extended() {
                 self.extend(&strip, &mut scratch);
             }
@@ -252,9 +264,14 @@ impl Drawing {
 
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell
     /// by cell.
-    fn prepare(&self, strip: &Range<u32>, scratch: &mut StripScratch) {
+    fn prepare(
+        &self,
+        strip: &Range<u32>,
+        scratch: &mut StripScratch,
+        cancelled: &dyn Fn() -> bool,
+    ) {
         if let Some(cut) = &self.lattice.cut {
-            return self.draw_cut(cut, strip, scratch);
+            return self.draw_cut(cut, strip, scratch, cancelled);
         }
         let width = self.width();
         let all_plain = strip
@@ -322,7 +339,7 @@ impl Drawing {
                 .covered
                 .push(scratch.runs.first().cloned().unwrap_or_default());
         }
-        self.draw_cells(strip, (mended, divided), scratch);
+        self.draw_cells(strip, (mended, divided), scratch, cancelled);
     }
 
     /// Draws cell by cell what crossings do not give: in `mended` rows the cells where they are
@@ -333,6 +350,7 @@ impl Drawing {
         strip: &Range<u32>,
         (mended, divided): (u32, u32),
         scratch: &mut StripScratch,
+        cancelled: &dyn Fn() -> bool,
     ) {
         let pitch = self.width() + SLACK_PIXELS;
         let drawn = mended | divided;
@@ -361,6 +379,9 @@ impl Drawing {
         };
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
+            if cancelled() {
+                return;
+            }
             let inaccurate = self.strategies.inaccurate(j);
             cell::draw_row(
                 self.kernel,
@@ -376,10 +397,10 @@ impl Drawing {
         // repeated work where cells overlap.
         (raster.over, raster.open) = (false, divided);
         if let Some(order) = &self.lattice.order {
-            return self.draw_in_order(order, strip, (blocks, per_cell), &mut raster);
+            return self.draw_in_order(order, strip, (blocks, per_cell), &mut raster, cancelled);
         }
         for j in self.lattice.rows_touching(strip).rev() {
-            if raster.open == 0 {
+            if raster.open == 0 || cancelled() {
                 break;
             }
             cell::draw_row(
@@ -517,7 +538,7 @@ impl Drawing {
     pub(super) fn row(&self, row: u32) -> (Vec<f32>, Vec<f32>, Vec<Range<usize>>) {
         let mut scratch = self.scratch();
         let strip = row..row + 1;
-        self.prepare(&strip, &mut scratch);
+        self.prepare(&strip, &mut scratch, &|| false);
         let start = self.coordinates(row, &strip, &mut scratch);
         let width = self.width();
         (

@@ -9,10 +9,8 @@ fn coverage(mesh: &Mesh, target: Extent, canvas: Canvas, band: usize) -> Vec<u8>
     let (width, height) = (target.width() as usize, target.height() as usize);
     let mut out = vec![7; width * height];
     for (k, out) in out.chunks_mut(width * band).enumerate() {
-        drawn.rows(
-            (k * band) as u32..(k * band + out.len() / width) as u32,
-            out,
-        );
+        let rows = (k * band) as u32..(k * band + out.len() / width) as u32;
+        drawn.rows(rows, out, &|| false);
     }
     out
 }
@@ -133,7 +131,7 @@ fn coverage_is_near_that_of_many_samples() {
         let drawn = coverage(mesh, canvas.extent, canvas, 17);
         let fine = super::super::InverseMap::new(mesh, extent(1600, 1440), Some(canvas));
         let mut positions = vec![[0.0; 2]; 1600 * 1440];
-        fine.rows(0..1440, &mut positions);
+        fine.rows(0..1440, &mut positions, &|| false);
         for (at, value) in drawn.iter().enumerate() {
             let (x, y) = (at % 100, at / 100);
             let samples = (0..256)

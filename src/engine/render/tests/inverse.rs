@@ -16,7 +16,8 @@ fn banded_on(map: &InverseMap, band: usize) -> Vec<[f32; 2]> {
     let mut out = vec![[-7.0; 2]; width * height];
     for (k, out) in out.chunks_mut(width * band).enumerate() {
         let first = k * band;
-        map.rows(first as u32..(first + out.len() / width) as u32, out);
+        let rows = first as u32..(first + out.len() / width) as u32;
+        map.rows(rows, out, &|| false);
     }
     out
 }

@@ -166,7 +166,7 @@ fn banded(renderer: &Renderer, rows: u32) -> Vec<u8> {
     let mut out = vec![0xA5; row * target.height() as usize];
     for (k, band) in out.chunks_mut(row * rows as usize).enumerate() {
         let first = k as u32 * rows;
-        renderer.band(first..first + (band.len() / row) as u32, band);
+        renderer.band(first..first + (band.len() / row) as u32, band, &|| false);
     }
     out
 }

@@ -13,8 +13,8 @@ fn ordered(side: f64, seed: u64) -> Mesh {
         .map(|(i, j)| grid.vertex(i, j))
         .map(|p| ((p.x * 0.07).sin() + (p.y * 0.11).cos()) as f32)
         .collect();
-    let order = DrawingOrder::of_grid(&grid, &depth, [-2.0, 2.0]).unwrap();
-    mesh.in_order(Some(Arc::new(order)))
+    let order = DrawingOrder::of_grid(&grid, &depth, &|| false).unwrap();
+    mesh.in_order(order.map(Arc::new))
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn the_cell_of_the_highest_rank_is_drawn_at_every_level() {
                 let mut drawn = vec![[0.0; 2]; 150 * 110];
                 for (k, out) in drawn.chunks_mut(150 * rows).enumerate() {
                     let top = (k * rows) as u32;
-                    map.rows(top..top + (out.len() / 150) as u32, out);
+                    map.rows(top..top + (out.len() / 150) as u32, out, &|| false);
                 }
                 let bits = |all: &[[f32; 2]]| {
                     let all = all.iter();
@@ -70,5 +70,48 @@ fn the_cell_of_the_highest_rank_is_drawn_at_every_level() {
             "{right} of {}, cells of {side}",
             of_order.len()
         );
+    }
+}
+
+#[test]
+fn bands_that_nobody_waits_for_are_given_up_at_the_next_look() {
+    let size = extent(150, 110);
+    let ordered = ordered(2.0, 1);
+    let source = Arc::new(Source::new(noise(size, Channels::Rgba, Depth::Eight)));
+    for (name, mesh) in [
+        ("plain", ordered.clone().in_order(None)),
+        ("ordered", ordered),
+    ] {
+        let map = InverseMap::new(&mesh, size, None);
+        let options = RenderOptions {
+            target: size,
+            canvas: None,
+            filter: Filter::Bilinear,
+            outside: Outside::Transparent,
+            force_alpha: true,
+        };
+        let renderer = Renderer::new(Arc::clone(&source), &mesh, options);
+        let asked = std::cell::Cell::new(0);
+        let draw = |after: usize| {
+            asked.set(0);
+            let cancelled = || {
+                asked.set(asked.get() + 1);
+                asked.get() > after
+            };
+            map.rows(0..110, &mut vec![[0.0; 2]; 150 * 110], &cancelled);
+            let of_map = asked.take();
+            renderer.band(0..110, &mut vec![0; 150 * 110 * 4], &cancelled);
+            [of_map, asked.get()]
+        };
+        let looks = draw(usize::MAX);
+        // More than one for each strip.
+        assert!(looks.iter().all(|looks| *looks > 20), "{name}: {looks:?}");
+        for after in [0, 1, looks[0] / 3, looks[0] - 1] {
+            let [of_map, of_band] = draw(after);
+            // One more look at most, where a strip ends.
+            let soon = after + 1..=after + 2;
+            assert!(soon.contains(&of_map), "{name}: {of_map} after {after}");
+            assert!(soon.contains(&of_band), "{name}: {of_band} after {after}");
+        }
     }
 }

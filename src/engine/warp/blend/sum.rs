@@ -156,7 +156,7 @@ impl ImageSum {
             }
             let rows = rows_of(band, pixels.len() / width);
             let mut samples = vec![0; pixels.len() * pixel_bytes];
-            drawer.band(rows, &mut samples);
+            drawer.band(rows, &mut samples, cancelled);
             let lines = samples.chunks_exact(width * pixel_bytes);
             for (sums, line) in pixels.chunks_exact_mut(width).zip(lines) {
                 for (x, sum) in sums.iter_mut().enumerate() {

@@ -163,32 +163,41 @@ impl MeshRenderer {
         }
     }
 
-    /// Draws the target rows `rows`. Shapes: `out: [rows][width][pixel_bytes]`, samples in PNG
-    /// order (16-bit big-endian).
-    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+    /// Draws the target rows `rows`, or anything when cancelled. Shapes:
+    /// `out: [rows][width][pixel_bytes]`, samples in PNG order (16-bit big-endian).
+    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         match self {
-            Self::Image { renderer, .. } => renderer.band(rows, out),
-            Self::Labels { inverse, labels } => draw_labels(inverse, labels, rows, out),
+            Self::Image { renderer, .. } => renderer.band(rows, out, cancelled),
+            Self::Labels { inverse, labels } => draw_labels(inverse, labels, rows, out, cancelled),
             Self::Coverage(coverage) => {
                 let mut shares = vec![0; out.len() / 3];
-                coverage.rows(rows, &mut shares);
+                coverage.rows(rows, &mut shares, cancelled);
                 for (pixel, share) in out.as_chunks_mut::<3>().0.iter_mut().zip(shares) {
                     *pixel = [share; 3];
                 }
             }
-            Self::CutCoverage { inverse, target } => draw_cut_coverage(inverse, *target, rows, out),
-            Self::Region(drawer) => drawer.band(rows, out),
-            Self::Holes(drawer) => drawer.band(rows, out),
+            Self::CutCoverage { inverse, target } => {
+                draw_cut_coverage(inverse, *target, rows, out, cancelled);
+            }
+            Self::Region(drawer) => drawer.band(rows, out, cancelled),
+            Self::Holes(drawer) => drawer.band(rows, out, cancelled),
         }
     }
 }
 
 /// The share of the samples of each pixel that show something.
-fn draw_cut_coverage(inverse: &InverseMap, target: Extent, rows: Range<u32>, out: &mut [u8]) {
+fn draw_cut_coverage(
+    inverse: &InverseMap,
+    target: Extent,
+    rows: Range<u32>,
+    out: &mut [u8],
+    cancelled: &dyn Fn() -> bool,
+) {
     let (side, width) = (SAMPLES as usize, target.width() as usize);
     let mut positions = vec![[0.0; 2]; side * side * width];
     for (row, out) in rows.zip(out.chunks_exact_mut(3 * width)) {
-        inverse.rows(row * SAMPLES..(row + 1) * SAMPLES, &mut positions);
+        let samples = row * SAMPLES..(row + 1) * SAMPLES;
+        inverse.rows(samples, &mut positions, cancelled);
         for (x, pixel) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let samples = positions
                 .chunks_exact(side * width)
@@ -203,11 +212,17 @@ fn draw_cut_coverage(inverse: &InverseMap, target: Extent, rows: Range<u32>, out
 }
 
 /// Each pixel takes the label of the source pixel that contains its position, or 0.
-fn draw_labels(inverse: &InverseMap, labels: &Labels, rows: Range<u32>, out: &mut [u8]) {
+fn draw_labels(
+    inverse: &InverseMap,
+    labels: &Labels,
+    rows: Range<u32>,
+    out: &mut [u8],
+    cancelled: &dyn Fn() -> bool,
+) {
     let shape = labels.shape;
     let pixel = shape.pixel_bytes();
     let mut positions = vec![[0.0; 2]; out.len() / pixel];
-    inverse.rows(rows, &mut positions);
+    inverse.rows(rows, &mut positions, cancelled);
     let (width, height) = (
         shape.extent.width() as usize,
         shape.extent.height() as usize,

@@ -113,24 +113,24 @@ impl RegionDrawer {
         pictures.saturating_add(self.weights.mask.computed_width().saturating_mul(2))
     }
 
-    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         let row = out.len() / rows.len().max(1);
         for (first, out) in rows
             .clone()
             .step_by(STRIP_ROWS as usize)
             .zip(out.chunks_mut(STRIP_ROWS as usize * row))
         {
-            self.strip(first..rows.end.min(first + STRIP_ROWS), out);
+            self.strip(first..rows.end.min(first + STRIP_ROWS), out, cancelled);
         }
     }
 
-    fn strip(&self, rows: Range<u32>, out: &mut [u8]) {
-        self.draw_background(rows.clone(), out);
-        let Some(weights) = self.weights.of(rows.clone()) else {
+    fn strip(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
+        self.draw_background(rows.clone(), out, cancelled);
+        let Some(weights) = self.weights.of(rows.clone(), cancelled) else {
             return;
         };
         let mut samples = vec![0; weights.len() * self.moved.pixel_bytes()];
-        self.moved.band(rows, &mut samples);
+        self.moved.band(rows, &mut samples, cancelled);
         match &self.moved {
             MeshRenderer::Image { renderer, .. } => blend(
                 out,
@@ -170,16 +170,16 @@ impl RegionDrawer {
         }
     }
 
-    fn draw_background(&self, rows: Range<u32>, out: &mut [u8]) {
+    fn draw_background(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         let MeshRenderer::Image { renderer, .. } = &self.background else {
-            return self.background.band(rows, out);
+            return self.background.band(rows, out, cancelled);
         };
         if renderer.channels() == self.channels {
-            return renderer.band(rows, out);
+            return renderer.band(rows, out, cancelled);
         }
         let (colours, alpha) = (3 * renderer.depth().bytes(), renderer.depth().bytes());
         let mut samples = vec![0; out.len() / (colours + alpha) * colours];
-        renderer.band(rows, &mut samples);
+        renderer.band(rows, &mut samples, cancelled);
         for (out, pixel) in out
             .chunks_exact_mut(colours + alpha)
             .zip(samples.chunks_exact(colours))
@@ -209,9 +209,12 @@ struct Weights {
 impl Weights {
     /// The weights of the moved part and of the background for each pixel of target rows; `None` if
     /// all pixels show the background alone.
-    fn of(&self, rows: Range<u32>) -> Option<Vec<[u16; 2]>> {
-        let moved = self.mask.weights(rows.clone());
-        let at_rest = self.mask_at_rest.as_ref().map(|mask| mask.weights(rows));
+    fn of(&self, rows: Range<u32>, cancelled: &dyn Fn() -> bool) -> Option<Vec<[u16; 2]>> {
+        let moved = self.mask.weights(rows.clone(), cancelled);
+        let at_rest = self
+            .mask_at_rest
+            .as_ref()
+            .map(|mask| mask.weights(rows, cancelled));
         let is_background = |mask: &[u16]| mask.iter().all(|share| *share == 0);
         if is_background(&moved) && at_rest.as_deref().is_none_or(is_background) {
             return None;
@@ -255,7 +258,7 @@ impl HolesDrawer {
             .saturating_add(self.mask_at_rest.computed_width())
     }
 
-    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
         let row = out.len() / rows.len().max(1);
         for (first, out) in rows
             .clone()
@@ -265,9 +268,9 @@ impl HolesDrawer {
             let rows = first..rows.end.min(first + STRIP_ROWS);
             let holes = self
                 .mask_at_rest
-                .weights(rows.clone())
+                .weights(rows.clone(), cancelled)
                 .into_iter()
-                .zip(self.mask.weights(rows));
+                .zip(self.mask.weights(rows, cancelled));
             for (out, (r, m)) in out.as_chunks_mut::<3>().0.iter_mut().zip(holes) {
                 *out = [mixed(u8::MAX, 0, [r.saturating_sub(m), 0]); 3];
             }

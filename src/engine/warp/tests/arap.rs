@@ -384,7 +384,7 @@ fn hostile_masks_have_a_map_or_are_refused() {
 #[test]
 fn a_dragged_hoof_leaves_the_others_nearly_where_they_are() {
     let file = include_bytes!("../../test_files/images/horse-cutout.png");
-    let image = Arc::new(Image::decode(file, &ImageLimits::default()).unwrap());
+    let image = Arc::new(Image::decode(file, &ImageLimits::default(), &|| false).unwrap());
     let mask = RestMask::of_image(&image, None, RestMask::THRESHOLD, &|| false).unwrap();
     let (p, mut q) = (points(&HORSE), HORSE);
     q[3] = (614.0, 584.0);
@@ -412,7 +412,7 @@ fn a_dragged_hoof_leaves_the_others_nearly_where_they_are() {
         ..OutputSpec::default()
     };
     let (subject, limits) = (RasterSource::Image(&image), Limits::default());
-    let job = RenderJob::new(subject, &posed, &output, &limits).unwrap();
+    let job = RenderJob::new(subject, &posed, &output, &limits, &|| false).unwrap();
     let mut png = Vec::new();
     let _ = job.write(0, &(), &mut |bytes| {
         png.extend(bytes);
@@ -449,5 +449,67 @@ fn a_mesh_stops_when_nobody_waits_for_it() {
         let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= at;
         let refused = ResolvedRest::new(&rest, extent(&mask), &Limits::default(), &cancelled);
         assert_eq!(refused.unwrap_err(), WarpError::Cancelled, "{at}");
+    }
+}
+
+/// Each step of the largest mesh, with more handles than whose motions are kept.
+#[test]
+fn the_largest_mesh_is_given_up_at_the_next_look() {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    let rows = vec!["1".repeat(486); 486];
+    let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+    let mask = mask(&rows);
+    let places: Vec<(f64, f64)> = (0..36)
+        .map(|k| {
+            (
+                f64::from(k % 6) * 80.0 + 40.0,
+                f64::from(k / 6) * 80.0 + 40.0,
+            )
+        })
+        .collect();
+    let mut depth = vec![0.0; places.len()];
+    depth[7] = 1.0;
+    let rest = RestSpec {
+        depth: Some(depth),
+        ..puppet(points(&places), &mask, Some(2.0))
+    };
+    let resolve = |cancelled: deform::IsCancelled<'_>| {
+        ResolvedRest::new(&rest, extent(&mask), &Limits::default(), cancelled)
+    };
+    let resolved = resolve(&|| false).unwrap();
+    assert_eq!(resolved.grid().len(), 244 * 244);
+    let mut q = places;
+    q[7] = (150.0, 90.0);
+    let pose = resolved.pose(&points(&q)).unwrap();
+    let plan = resolved.plan(&|| false).unwrap();
+    type GivesUp<'a> = &'a dyn Fn(deform::IsCancelled<'_>) -> Result<(), WarpError>;
+    let works: [(&str, usize, GivesUp<'_>); 3] = [
+        ("factorising", 100_000, &|cancelled| {
+            resolve(cancelled).map(drop)
+        }),
+        ("posing", 20_000, &|cancelled| {
+            PosedMesh::new(&resolved, &plan, &pose, Folds::Report, cancelled).map(drop)
+        }),
+        ("ordering", 8_000, &|cancelled| {
+            resolved
+                .with_depth(&rest)?
+                .order(&plan, cancelled)
+                .map(drop)
+        }),
+    ];
+    for (name, least, work) in works {
+        let asked = AtomicUsize::new(0);
+        let count = |after: usize| {
+            asked.store(0, Ordering::Relaxed);
+            work(&|| asked.fetch_add(1, Ordering::Relaxed) >= after)
+        };
+        count(usize::MAX).unwrap();
+        let looks = asked.load(Ordering::Relaxed);
+        assert!(looks > least, "{name}: {looks}");
+        for after in [0, looks / 50, looks / 10, looks / 3] {
+            assert_eq!(count(after), Err(WarpError::Cancelled), "{name}");
+            let soon = asked.load(Ordering::Relaxed) - after;
+            assert!((1..=2).contains(&soon), "{name}: {soon} after {after}");
+        }
     }
 }

@@ -1,12 +1,13 @@
 //! Depths of handles: which of what overlaps is in front.
 
 use super::super::{
-    CompiledRest, Folds, Limits, Method, Metric, PosedMesh, ResolvedRest, RestSpec, WarpError,
+    CompiledRest, Folds, GridSpec, Limits, Method, Metric, PosedMesh, ResolvedRest, RestSpec,
+    WarpError,
 };
 use super::drawn::shown;
 use super::geodesic::{extent as extent_of, mask};
 use crate::deform::{DeformError, Handle};
-use crate::geometry::Point;
+use crate::geometry::{DrawingOrder, Point};
 use crate::pixmap::Extent;
 
 fn points(places: &[(f64, f64)]) -> Vec<Handle> {
@@ -233,5 +234,140 @@ fn depths_are_one_for_each_handle_and_within_their_range() {
             matches!(error, DeformError::BadDepth { handle: 1, .. }),
             "{error}"
         );
+    }
+}
+
+#[test]
+fn depths_far_from_0_are_told_apart_and_one_handle_has_none() {
+    let (p, q, extent) = sheet();
+    let p_of_one = points(&[(30.0, 60.0)]);
+    for method in OF_POINTS {
+        let order = |depths: [f64; 3]| {
+            let rest = of_method(method, p.clone(), Some(pairs(depths)));
+            posed(&rest, &q, extent).2.mesh().order().cloned()
+        };
+        let [two, three] = [order([0.0, 0.0, 1.0]), order([1.0, 0.0, 0.5])];
+        assert!(two.is_some() && three.is_some());
+        for least in [
+            -1000.0,
+            -1e-300,
+            0.0,
+            1e-12,
+            0.1,
+            999.0,
+            1000_f64.next_down(),
+        ] {
+            let above = f64::next_up(least);
+            assert_eq!(order([least, least, above]), two, "{method:?} {least}");
+            assert_eq!(order([least; 3]), None);
+        }
+        for (least, half) in [
+            (-1000.0, 1000.0),
+            (999.0, 1e-9),
+            (0.0, 5e-324),
+            (0.0, 1e-310),
+        ] {
+            let [middle, most] = [least + half, least + half + half];
+            if middle - least == most - middle {
+                let found = order([most, least, middle]);
+                assert_eq!(found, three, "{method:?} {least} {half}");
+            }
+        }
+        let one = of_method(method, p_of_one.clone(), Some(vec![1000.0]));
+        let (setup, _, posed) = posed(&one, &p_of_one, extent);
+        assert_eq!((posed.mesh().order(), setup.order_bytes()), (None, 0));
+    }
+}
+
+#[test]
+fn the_order_is_computed_once_for_all_setups_that_share_it() {
+    let (p, _, extent) = sheet();
+    let rest = RestSpec {
+        grid: GridSpec::Pixel,
+        ..of_method(Method::Rigid, p, Some(pairs([0.0, 0.0, 1.0])))
+    };
+    let new = || ResolvedRest::new(&rest, extent, &Limits::default(), &|| false).unwrap();
+    let (setup, other) = (new(), new());
+    let plan = setup.plan(&|| false).unwrap();
+    let key = setup.lacks_order();
+    assert!(key.is_some() && key == other.lacks_order());
+    other.keep_order(&setup.order(&plan, &|| false).unwrap());
+    // Nothing is left to be cancelled.
+    other.order(&plan, &|| true).unwrap();
+    assert_eq!((setup.lacks_order(), other.lacks_order()), (None, None));
+    // On the grid on which the inverse is searched, too.
+    let to_invert = || setup.to_invert(&Limits::default()).unwrap();
+    assert_ne!(to_invert().plan_key(), setup.plan_key());
+    assert!(to_invert().lacks_order().is_some() && to_invert().lacks_order() != key);
+    let plan = to_invert().plan(&|| false).unwrap();
+    let _ = to_invert().order(&plan, &|| false).unwrap();
+    assert_eq!(to_invert().lacks_order(), None);
+    let bytes = |setup: &ResolvedRest| DrawingOrder::bytes_for(setup.grid().len() as u64);
+    assert!(setup.order_bytes() > bytes(&setup) + bytes(&to_invert()));
+}
+
+#[test]
+fn an_order_that_nobody_waits_for_is_given_up_and_its_work_is_estimated() {
+    let (p, _, extent) = sheet();
+    let legs = mask(&super::geodesic::LEGS);
+    let inside = points(&[(2.5, 1.5), (21.25, 1.5), (9.0, 10.5)]);
+    for method in [Method::Rigid, Method::Similarity, Method::ThinPlateSpline] {
+        for is_cut in [false, true] {
+            if is_cut && method == Method::ThinPlateSpline {
+                continue;
+            }
+            let (p, extent) = match is_cut {
+                true => (inside.clone(), extent_of(&legs)),
+                false => (p.clone(), extent),
+            };
+            let mut depth = vec![0.0; p.len()];
+            depth[0] = 1.0;
+            let with = RestSpec {
+                mask: is_cut.then(|| legs.clone()),
+                metric: match is_cut {
+                    true => Metric::Geodesic,
+                    false => Metric::Euclidean,
+                },
+                grid: match is_cut {
+                    true => GridSpec::Cell(4.0),
+                    false => GridSpec::Auto,
+                },
+                ..of_method(method, p, Some(depth))
+            };
+            let without = RestSpec {
+                depth: None,
+                ..with.clone()
+            };
+            let new = |rest: &RestSpec, work: u64| {
+                let limits = Limits {
+                    work,
+                    ..Limits::default()
+                };
+                ResolvedRest::new(rest, extent, &limits, &|| false)
+            };
+            let setup = new(&with, u64::MAX).unwrap();
+            let plan = setup.plan(&|| false).unwrap();
+            let given_up = setup.order(&plan, &|| true).unwrap_err();
+            assert_eq!(given_up, WarpError::Cancelled, "{method:?} {is_cut}");
+            // The least limit at which there is a setup without depths is too small for one with.
+            let (mut refused, mut taken) = (0, 1 << 40);
+            while refused + 1 < taken {
+                let middle = u64::midpoint(refused, taken);
+                match new(&without, middle) {
+                    Ok(_) => taken = middle,
+                    Err(_) => refused = middle,
+                }
+            }
+            let is_too_much = |setup: Result<ResolvedRest, WarpError>| {
+                matches!(setup, Err(WarpError::TooMuchWork { .. }))
+            };
+            // The largest task of a mask may be its distances.
+            let limited = new(&without, taken).unwrap();
+            if !is_cut {
+                assert!(is_too_much(new(&with, taken)), "{method:?}");
+                assert!(is_too_much(limited.with_depth(&with)), "{method:?}");
+            }
+            assert!(new(&with, 2 * taken).is_ok(), "{method:?} {is_cut}");
+        }
     }
 }

@@ -71,7 +71,7 @@ pub(super) fn shown(posed: &PosedMesh, extent: Extent) -> Vec<Option<Point>> {
         renderer.channels().count(),
     );
     let mut out = vec![0; pixels * channels * 2];
-    renderer.band(0..extent.height(), &mut out);
+    renderer.band(0..extent.height(), &mut out, &|| false);
     let pixel = |samples: &[u8]| {
         let sample = |c: usize| {
             f64::from(u16::from_be_bytes([samples[2 * c], samples[2 * c + 1]])) / 65_535.0

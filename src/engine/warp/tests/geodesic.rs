@@ -398,7 +398,7 @@ pub(super) const HORSE: [(f64, f64); 11] = [
 #[test]
 fn a_dragged_hoof_leaves_the_others_where_they_are() {
     let file = include_bytes!("../../test_files/images/horse-cutout.png");
-    let image = Arc::new(Image::decode(file, &ImageLimits::default()).unwrap());
+    let image = Arc::new(Image::decode(file, &ImageLimits::default(), &|| false).unwrap());
     let mask = RestMask::of_image(&image, None, RestMask::THRESHOLD, &|| false).unwrap();
     let (p, mut q) = (points(&HORSE), HORSE);
     q[3] = (614.0, 584.0);
@@ -429,7 +429,7 @@ fn a_dragged_hoof_leaves_the_others_where_they_are() {
             ..OutputSpec::default()
         };
         let (subject, limits) = (RasterSource::Image(&image), Limits::default());
-        let job = RenderJob::new(subject, &posed, &output, &limits).unwrap();
+        let job = RenderJob::new(subject, &posed, &output, &limits, &|| false).unwrap();
         let mut png = Vec::new();
         let _ = job.write(0, &(), &mut |bytes| {
             png.extend(bytes);
@@ -444,4 +444,89 @@ fn a_dragged_hoof_leaves_the_others_where_they_are() {
         assert!(std::fs::read(&path).unwrap() == png, "{path} differs");
     }
     assert!(moves[0] > 10.0 && moves[1] <= 1.0, "{moves:?}");
+}
+
+/// A pixel in every seven by seven: a million parts.
+fn dots(y: u32, row: &mut [Membership]) {
+    for (x, membership) in (0_u32..).zip(row) {
+        *membership = match [x, y].map(|c| c % 7) {
+            [3, 3] => Membership::Inside,
+            _ => Membership::Outside,
+        };
+    }
+}
+
+/// Every second pixel.
+fn checkerboard(y: u32, row: &mut [Membership]) {
+    for (x, membership) in (0_u32..).zip(row) {
+        *membership = match (x + y) % 2 {
+            0 => Membership::Inside,
+            _ => Membership::Outside,
+        };
+    }
+}
+
+/// Walls a pixel wide from side to side in turn: one path through all of the image.
+fn winding(y: u32, row: &mut [Membership]) {
+    let last = row.len() - 1;
+    for (x, membership) in row.iter_mut().enumerate() {
+        let is_gap = x == if y % 4 == 1 { last } else { 0 };
+        *membership = match y.is_multiple_of(2) || is_gap {
+            true => Membership::Inside,
+            false => Membership::Outside,
+        };
+    }
+}
+
+#[test]
+fn fifty_megapixels_of_noise_are_refused_before_they_are_computed() {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    let limits = Limits::default();
+    for (name, picture) in [
+        ("dots", dots as fn(u32, &mut [Membership])),
+        ("checkerboard", checkerboard),
+        ("winding", winding),
+    ] {
+        let mask = RestMask {
+            mask: Arc::new(Mask::new(7000, 7000, picture, &|| false).unwrap()),
+            digest: Digest::of(name.as_bytes()),
+        };
+        let extent = extent(&mask);
+        for count in [1, 10_000] {
+            let at = |k: i32| {
+                (
+                    f64::from(k % 100) * 70.0 + 3.5,
+                    f64::from(k / 100) * 70.0 + 3.5,
+                )
+            };
+            let p = points(&(0..count).map(at).collect::<Vec<_>>());
+            let rest = inside(p, Method::Rigid, &mask);
+            // Of what is computed a part at most is held at once.
+            match rest.field_bytes(&limits, &|| false) {
+                Ok(bytes) => assert!(bytes.peak < 3 * limits.plan_bytes, "{name} {count}"),
+                Err(error) => assert!(matches!(error, WarpError::TooLarge { .. }), "{error:?}"),
+            }
+            let asked = AtomicUsize::new(0);
+            let new = |after: usize| {
+                asked.store(0, Ordering::Relaxed);
+                let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+                ResolvedRest::new(&rest, extent, &limits, &cancelled).unwrap_err()
+            };
+            let refused = new(usize::MAX);
+            let WarpError::Rest(refused) = refused else {
+                panic!("{refused:?}");
+            };
+            let is_winding = matches!(refused, DeformError::MaskTooWinding { .. });
+            let is_large = matches!(refused, DeformError::MaskTooLarge { .. });
+            assert!(is_large || is_winding && count == 1, "{name}: {refused:?}");
+            let looks = asked.load(Ordering::Relaxed);
+            assert!(looks >= 7000, "{name} {count}: {looks}");
+            assert_eq!(new(looks / 3), WarpError::Cancelled, "{name} {count}");
+            assert_eq!(
+                asked.load(Ordering::Relaxed),
+                looks / 3 + 1,
+                "{name} {count}"
+            );
+        }
+    }
 }

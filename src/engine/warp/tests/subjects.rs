@@ -57,7 +57,7 @@ fn posed(case: &Case) -> PosedMesh {
 
 fn drawn(subject: RasterSource<'_>, posed: &PosedMesh, output: &OutputSpec) -> Labels {
     let mut file = Vec::new();
-    let _ = RenderJob::new(subject, posed, output, &Limits::default())
+    let _ = RenderJob::new(subject, posed, output, &Limits::default(), &|| false)
         .unwrap()
         .write(0, &(), &mut |bytes| {
             file.extend(bytes);
@@ -80,7 +80,10 @@ fn label_image(extent: Extent) -> LabelImage {
     let values: Vec<u8> = (0..extent.height())
         .flat_map(|y| (0..extent.width()).flat_map(move |x| label(x, y).to_be_bytes()))
         .collect();
-    LabelImage::decode(&encoded(shape, &values, None), &Limits::default()).unwrap()
+    LabelImage::decode(&encoded(shape, &values, None), &Limits::default(), &|| {
+        false
+    })
+    .unwrap()
 }
 
 /// Labels are a subset of the source's and 0; each is that of the position that the mesh inverts
@@ -122,8 +125,11 @@ fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
                     .target(size, &posed, &Limits::default(), &|| false)
                     .unwrap();
                 let mut positions = vec![[0.0; 2]; target.extent.pixels() as usize];
-                InverseMap::new(posed.mesh(), target.extent, target.canvas)
-                    .rows(0..target.extent.height(), &mut positions);
+                InverseMap::new(posed.mesh(), target.extent, target.canvas).rows(
+                    0..target.extent.height(),
+                    &mut positions,
+                    &|| false,
+                );
                 for (value, [x, y]) in out.values.as_chunks::<2>().0.iter().zip(positions) {
                     let value = u16::from_be_bytes(*value);
                     if x.is_nan() {
@@ -157,8 +163,12 @@ fn palettes_are_kept_and_lossy_formats_refused() {
         alpha: vec![0, 77],
     };
     let values: Vec<u8> = (0..160 * 120).map(|k| (k / 37 % 3) as u8).collect();
-    let image =
-        LabelImage::decode(&encoded(shape, &values, Some(&palette)), &Limits::default()).unwrap();
+    let image = LabelImage::decode(
+        &encoded(shape, &values, Some(&palette)),
+        &Limits::default(),
+        &|| false,
+    )
+    .unwrap();
     let posed = posed(&randoms(size, 0..1)[0]);
     let out = drawn(RasterSource::Labels(&image), &posed, &OutputSpec::default());
     assert_eq!(out.palette, Some(palette));
@@ -173,14 +183,21 @@ fn palettes_are_kept_and_lossy_formats_refused() {
             &posed,
             &output,
             &Limits::default(),
+            &|| false,
         )
         .map(drop);
         assert_eq!(refused, Err(WarpError::LabelFormat { format }));
     }
     let etag = |subject| {
-        RenderJob::new(subject, &posed, &OutputSpec::default(), &Limits::default())
-            .unwrap()
-            .etag()
+        RenderJob::new(
+            subject,
+            &posed,
+            &OutputSpec::default(),
+            &Limits::default(),
+            &|| false,
+        )
+        .unwrap()
+        .etag()
     };
     assert_ne!(
         etag(RasterSource::Labels(&image)),
@@ -205,7 +222,7 @@ fn coverage_is_grey_and_is_where_positions_are() {
             let samples = if format == Format::WebP { 3 } else { 1 };
             assert_eq!((out.shape.samples(), out.shape.extent), (samples, size));
             let mut positions = vec![[0.0; 2]; 160 * 120];
-            InverseMap::new(posed.mesh(), size, None).rows(0..120, &mut positions);
+            InverseMap::new(posed.mesh(), size, None).rows(0..120, &mut positions, &|| false);
             let is_wrong = |(value, [x, _]): (&u8, &[f32; 2])| {
                 if x.is_nan() {
                     *value == 255
@@ -226,7 +243,9 @@ fn coverage_is_grey_and_is_where_positions_are() {
 }
 
 fn file(map: &CoordinateMap) -> Vec<u8> {
-    let file: Vec<u8> = (0..map.bands()).flat_map(|band| map.band(band)).collect();
+    let file: Vec<u8> = (0..map.bands())
+        .flat_map(|band| map.band(band, &|| false).unwrap())
+        .collect();
     assert_eq!(file.len() as u64, map.file_bytes());
     file
 }
@@ -273,8 +292,11 @@ fn maps_have_the_positions_that_are_drawn() {
                 let (target, pixels) =
                     (inverse.target(), inverse.target().extent.pixels() as usize);
                 let mut want = vec![[0.0; 2]; pixels];
-                InverseMap::new(posed.mesh(), target.extent, target.canvas)
-                    .rows(0..target.extent.height(), &mut want);
+                InverseMap::new(posed.mesh(), target.extent, target.canvas).rows(
+                    0..target.extent.height(),
+                    &mut want,
+                    &|| false,
+                );
                 let got = numbers(&file(&inverse), pixels, format);
                 let is_same = |(a, b): (&[f32; 2], &[f32; 2])| {
                     a[0].is_nan() && b[0].is_nan()

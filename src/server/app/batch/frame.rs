@@ -197,12 +197,9 @@ impl BatchJob {
                 survey.posed - 1
             };
             let q = Arc::new(self.pose_of(frame)?.q);
-            let prepared = self
-                .app
-                .drawing
-                .prepare(&self.draw_job(&content, q, Timing::default()), &|| {
-                    cancel.is_cancelled()
-                });
+            let job = self.draw_job(&content, q, Timing::default());
+            let (is_cancelled, is_gone) = (|| cancel.is_cancelled(), || cancel.is_gone());
+            let prepared = self.app.drawing.prepare(&job, &is_cancelled, &is_gone);
             let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
@@ -274,7 +271,6 @@ impl BatchJob {
         let located = |problem| self.located(pose, problem);
         let FramePose { q, position } = self.pose_of(pose)?;
         let q = Arc::new(q);
-        let is_cancelled = || cancel.is_cancelled();
         let (mut layers, mut layer_files) = (BTreeMap::new(), Vec::new());
         for (layer, content) in &self.layers {
             let job = self.draw_job(content, Arc::clone(&q), Timing::default());
@@ -287,7 +283,7 @@ impl BatchJob {
                 name.clone(),
                 self.app
                     .drawing
-                    .draw_file(&job, &is_cancelled)
+                    .draw_file(&job, cancel)
                     .map_err(located)?
                     .first
                     .bytes,
@@ -300,11 +296,7 @@ impl BatchJob {
             target,
             first,
             ..
-        } = self
-            .app
-            .drawing
-            .draw_file(&job, &is_cancelled)
-            .map_err(located)?;
+        } = self.app.drawing.draw_file(&job, cancel).map_err(located)?;
         let picture = self.rest.setup.frame_of(target);
         let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
             Some((

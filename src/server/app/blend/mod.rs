@@ -246,9 +246,8 @@ impl BlendJob {
             .plans
             .plan(client, &ticket, &setup, Timing::default())
             .await?;
-        // Later frames need it again; of a file, nobody else does.
-        let is_of_file = matches!(self.images[index].source, BlendedSource::File(..));
-        if planned.is_built && is_of_file {
+        // Later frames need it again, and nobody else did.
+        if planned.is_built {
             app.plans.demote(client.owner, &setup);
         }
         let (job, target, threads) = (Arc::clone(self), Arc::clone(target), app.pool().clone());
@@ -365,7 +364,7 @@ impl BlendJob {
         let job = self.draw_job(&ticket, image).await?;
         let app = self.app.clone();
         let write = move |cancel: &Cancel| {
-            let drawn = app.drawing.draw_file(&job, &|| cancel.is_cancelled())?;
+            let drawn = app.drawing.draw_file(&job, cancel)?;
             let object = serde_json::json!({"p": AsJson(&landmarks[..])});
             let json = cancellable_json(cancel, &object, 0)?;
             Ok::<_, Problem>((drawn.first.bytes, json.into()))

@@ -15,7 +15,7 @@ use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::metrics::Metrics;
 use crate::observe::scope::stage;
-use crate::pool::{PoolError, Ticket};
+use crate::pool::{Cancel, PoolError, Ticket};
 use crate::problem::Problem;
 
 /// Images of at most this many bytes are drawn as a whole: the head of the response then has their
@@ -50,8 +50,9 @@ impl Drawing {
     }
 
     fn draw_for(&self, answer: DrawnSender, ticket: &Ticket, job: &DrawJob) {
-        let is_over = || ticket.is_over(&|| answer.is_closed());
-        let (warp, drawn, reservation) = match self.prepare(job, &is_over) {
+        let is_gone = || answer.is_closed();
+        let is_over = || ticket.is_over(&is_gone);
+        let (warp, drawn, reservation) = match self.prepare(job, &is_over, &is_gone) {
             Ok(prepared) => prepared,
             Err(problem) => {
                 let _ = answer.send(Err(problem));
@@ -70,14 +71,11 @@ impl Drawing {
 
     /// Poses and draws a whole file on this compute thread alone.
     /// Errors: As of [`Drawing::draw`]; cancelled.
-    pub(crate) fn draw_file(
-        &self,
-        job: &DrawJob,
-        is_cancelled: IsCancelled<'_>,
-    ) -> Result<Drawn, Problem> {
-        let (warp, drawn, reservation) = self.prepare(job, is_cancelled)?;
+    pub(crate) fn draw_file(&self, job: &DrawJob, cancel: &Cancel) -> Result<Drawn, Problem> {
+        let is_cancelled = || cancel.is_cancelled();
+        let (warp, drawn, reservation) = self.prepare(job, &is_cancelled, &|| cancel.is_gone())?;
         self.metrics.prepared(&drawn.timing);
-        let first = self.write_whole(&warp, reservation, is_cancelled)?;
+        let first = self.write_whole(&warp, reservation, &is_cancelled)?;
         Ok(Drawn { first, ..drawn })
     }
 
@@ -94,23 +92,29 @@ impl Drawing {
         let reservation =
             self.admission
                 .reserve_for(MemoryClass::Frame, quota, setup.posed_bytes())?;
-        let _halved = (most_halved > 0)
+        let halved = (most_halved > 0)
             .then(|| self.admission.reserve(MemoryClass::Frame, most_halved))
             .transpose()?;
         let posed = if setup.uses_thread_pool() {
             self.admission.pool.run_parallel(pose)
         } else {
             pose()
-        }?;
-        Ok((posed, reservation))
+        };
+        // Most of it was not needed.
+        if let Some(halved) = halved {
+            halved.release_unused();
+        }
+        Ok((posed?, reservation))
     }
 
     /// Poses, and reserves the memory that drawing needs: what is to be drawn, and all of the
-    /// answer but its pieces.
+    /// answer but its pieces. `is_gone`: whether the result is no longer needed, without giving way
+    /// to other jobs, which may wait for the copies that this one makes.
     pub(crate) fn prepare(
         &self,
         job: &DrawJob,
         is_cancelled: IsCancelled<'_>,
+        is_gone: IsCancelled<'_>,
     ) -> Result<(RenderJob, Drawn, Reservation), Problem> {
         let (began, mut timing) = (Instant::now(), job.planned.timing);
         let setup = &job.planned.setup;
@@ -128,7 +132,7 @@ impl Drawing {
         self.admission.reserve_more(&mut reservation, bytes)?;
         if source.lacks_copies(target, &posed, &job.output) {
             let began = Instant::now();
-            source.make_copies(target, &posed, &job.output, is_cancelled)?;
+            source.make_copies(target, &posed, &job.output, is_gone)?;
             timing.reduce = began.elapsed();
             stage("reduce", began);
         }

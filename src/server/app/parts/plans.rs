@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CompiledRest, Digest, Limits, ResolvedRest, RestMask, RestSpec, WarpError};
+use mlswarp::warp::{
+    CompiledRest, Digest, Limits, OrderOfCells, ResolvedRest, RestMask, RestSpec, WarpError,
+};
 
 use super::admission::Admission;
 use super::images::Images;
@@ -41,6 +43,8 @@ pub(crate) struct Plans {
     pub(crate) images: Arc<Images>,
     pub(crate) limits: Limits,
     pub(crate) compiled: Cache<CompiledRest>,
+    /// Setups keep what is built here.
+    pub(crate) orders: Cache<OrderOfCells>,
     pub(crate) setups: Cache<ResolvedRest>,
 }
 
@@ -90,28 +94,29 @@ impl Plans {
         Ok(CacheEntry::new(setup, held))
     }
 
-    /// The setup of rest handles that differ from those `before`, whose setup this is, in their
-    /// depths alone; `None` if there is none, or they differ otherwise.
+    /// The setup of rest handles that differ from those of a record in their depths alone, if that
+    /// of the record is cached; `None` if it is not, or they differ otherwise.
     pub(crate) fn with_depth(
         &self,
         rest: &RestSpec,
-        before: &RestSpec,
-        setup: Option<&HeldSetup>,
+        before: &Record,
     ) -> Result<Option<CacheEntry<ResolvedRest>>, Problem> {
-        let Some(setup) = setup else {
-            return Ok(None);
+        let depth = before.rest.depth.clone();
+        let otherwise = RestSpec {
+            depth,
+            ..rest.clone()
         };
-        let depth = before.depth.clone();
-        if *before
-            != (RestSpec {
-                depth,
-                ..rest.clone()
-            })
-        {
+        if before.rest != otherwise {
             return Ok(None);
         }
-        // It shares most of its memory with the other one, and may outlive it.
-        let mut held = self.admission.reserve(MemoryClass::Plan, setup.bytes())?;
+        let Some(setup) = self.setups.peek(revision_key(before)) else {
+            return Ok(None);
+        };
+        // It shares most of its memory with the other one, and may outlive it. If both do not fit,
+        // the other one must be free to go.
+        let Ok(mut held) = self.admission.reserve(MemoryClass::Plan, setup.bytes()) else {
+            return Ok(None);
+        };
         let setup = setup.with_depth(rest)?;
         self.admission
             .reserve_more(&mut held, setup.order_bytes())?;
@@ -181,7 +186,7 @@ impl Plans {
     ) -> Result<Planned, Problem> {
         let began = Instant::now();
         let (admission, build_setup) = (Arc::clone(&self.admission), Arc::clone(setup));
-        let ticket = ticket.clone();
+        let (ticket, of_order) = (ticket.clone(), ticket.clone());
         let build = async move {
             let bytes = build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT);
             let reservation = admission
@@ -197,6 +202,7 @@ impl Plans {
         };
         let key = CacheKey::new(client.owner, setup.plan_key());
         let Fetched { value: plan, built } = self.compiled.get(key, client.payer(), build).await?;
+        self.order(client, of_order, setup, &plan).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
         Ok(Planned {
@@ -205,6 +211,41 @@ impl Plans {
             timing,
             is_built: built,
         })
+    }
+
+    /// Computes the order in which the cells of a setup are drawn, once for all requests that need
+    /// it at the same time.
+    async fn order(
+        &self,
+        client: Client,
+        ticket: Ticket,
+        setup: &HeldSetup,
+        plan: &Arc<CacheEntry<CompiledRest>>,
+    ) -> Result<(), Problem> {
+        let Some(key) = setup.lacks_order() else {
+            return Ok(());
+        };
+        let (admission, of_setup, plan) = (
+            Arc::clone(&self.admission),
+            Arc::clone(setup),
+            Arc::clone(plan),
+        );
+        let build = async move {
+            let bytes = of_setup.order_peak_bytes();
+            let reservation = admission
+                .reserve_aside(|budget| budget.take(MemoryClass::Plan, bytes))
+                .await?;
+            let threads = admission.pool.clone();
+            let order = move |cancel: &Cancel| {
+                let is_cancelled = || cancel.is_cancelled();
+                threads.run_parallel(|| of_setup.order(&plan, &is_cancelled))
+            };
+            Ok(CacheEntry::new(ticket.run(order).await??, reservation))
+        };
+        let key = CacheKey::new(client.owner, key);
+        let order = self.orders.get(key, client.payer(), build).await?.value;
+        setup.keep_order(&order);
+        Ok(())
     }
 
     /// Whether the plan of a setup is cached, and counts as used.
@@ -249,4 +290,101 @@ pub(crate) fn columns(record: &Record) -> u64 {
 
 fn columns_of(rest: &RestSpec) -> u64 {
     rest.p.iter().map(|h| h.columns() as u64).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use mlswarp::deform::Handle;
+    use mlswarp::geometry::Point;
+
+    use super::*;
+    use crate::app::App;
+    use crate::cache::AnyCache as _;
+    use crate::config::Config;
+    use crate::session::{Revision, SessionId};
+    use crate::wire::WarpObject;
+
+    fn rest(depth: f64) -> RestSpec {
+        let place = |k: i32| Point::new(f64::from(k) * 90.0 + 20.0, f64::from(k * k) * 50.0 + 20.0);
+        RestSpec {
+            p: (0..3).map(|k| Handle::Point(place(k))).collect(),
+            depth: Some(vec![0.0, 0.0, depth]),
+            ..RestSpec::default()
+        }
+    }
+
+    fn extent() -> Extent {
+        Extent::new(300, 300).unwrap()
+    }
+
+    async fn setup(app: &App, ticket: &Ticket) -> HeldSetup {
+        let plans = Arc::clone(&app.plans);
+        let new = move |cancel: &Cancel| plans.new_setup(&rest(1.0), extent(), None, cancel);
+        Arc::new(ticket.run(new).await.unwrap().unwrap())
+    }
+
+    #[tokio::test]
+    async fn an_order_of_drawing_is_computed_once_for_all_that_need_it_at_the_same_time() {
+        let (app, client) = (App::new(Config::default()).unwrap(), Client::default());
+        let ticket = app.admission.upload(QueueKey::client(client)).await;
+        let ticket = ticket.unwrap();
+        let setups = [setup(&app, &ticket).await, setup(&app, &ticket).await];
+        assert!(setups.iter().all(|setup| setup.lacks_order().is_some()));
+        let planned = setups
+            .each_ref()
+            .map(|setup| app.plans.plan(client, &ticket, setup, Timing::default()));
+        let [one, other] = planned;
+        let (one, other) = tokio::join!(one, other);
+        assert!(one.unwrap().is_built && !other.unwrap().is_built);
+        assert!(setups.iter().all(|setup| setup.lacks_order().is_none()));
+        assert_eq!(app.plans.orders.usage().built, 1);
+        // Nothing of it is left but what the setups hold.
+        assert_eq!(app.plans.orders.usage().bytes, 0);
+        let taken = app.budget().taken();
+        app.plans
+            .plan(client, &ticket, &setups[0], Timing::default())
+            .await
+            .unwrap();
+        assert_eq!(
+            (app.plans.orders.usage().built, app.budget().taken()),
+            (1, taken)
+        );
+    }
+
+    #[tokio::test]
+    async fn an_old_setup_is_not_held_while_there_is_no_memory_for_another_one() {
+        let (app, client) = (App::new(Config::default()).unwrap(), Client::default());
+        let ticket = app.admission.upload(QueueKey::client(client)).await;
+        let setup = setup(&app, &ticket.unwrap()).await;
+        let base = WarpObject::default();
+        let record = Record {
+            id: SessionId::random(client.owner),
+            revision: Revision::random(),
+            image: Digest::of(b"an image"),
+            layers: std::collections::BTreeMap::new(),
+            made_with_region: None,
+            extent: extent(),
+            rest: rest(1.0),
+            pose: None,
+            folds: base.folds,
+            output: base.output,
+            created: SystemTime::now(),
+        };
+        app.plans.keep_setup(client, &record, &setup);
+        drop(setup);
+        let with = |depth: f64| app.plans.with_depth(&rest(depth), &record).unwrap();
+        assert!(with(2.0).is_some());
+        // Handles that differ otherwise hold nothing.
+        let mut other = rest(2.0);
+        other.p.pop();
+        assert!(app.plans.with_depth(&other, &record).unwrap().is_none());
+        // The old setup goes, so that there is room for one that is computed again.
+        let mut taken = app.budget().take(MemoryClass::Plan, 0).unwrap();
+        while taken.grow(256).is_ok() {}
+        assert!(with(3.0).is_none());
+        assert!(app.plans.setups.is_any_idle());
+        assert!(app.admission.evict_idle() && !app.plans.setups.is_any_idle());
+    }
 }

@@ -177,12 +177,13 @@ impl Dissection {
                 }
             }
         }
-        all.find_reached(elements);
+        all.find_reached(elements, cancelled)?;
         Some(all)
     }
 
     /// Which later vertices the elimination of each front reaches, and which elements begin in it.
-    fn find_reached(&mut self, elements: &[[u32; 4]]) {
+    /// `None` when cancelled.
+    fn find_reached(&mut self, elements: &[[u32; 4]], cancelled: &dyn Fn() -> bool) -> Option<()> {
         let mut front_of = vec![0; self.place.len()];
         for (k, front) in self.fronts.iter().enumerate() {
             front_of[front.own.clone()].fill(k);
@@ -193,6 +194,9 @@ impl Dissection {
             of_front[front_of[places[0].min(places[1]).min(places[2]).min(places[3])]].push(k);
         }
         for (k, own_elements) in of_front.iter().enumerate() {
+            if cancelled() {
+                return None;
+            }
             let end = self.fronts[k].own.end;
             let of_elements = own_elements.iter().flat_map(|k| elements[*k]);
             let mut reached: Vec<usize> = of_elements.map(|v| self.place[v as usize]).collect();
@@ -210,6 +214,7 @@ impl Dissection {
             self.reached.extend(reached);
             self.elements.extend(own_elements);
         }
+        Some(())
     }
 
     /// Multiplications of a factorisation, and entries that it needs for a while.

@@ -7,6 +7,11 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 use super::dissection::{Dissection, Front};
 use crate::geometry::Vec2;
 
+/// Columns of a front between two checks of cancellation: a millisecond or two of the largest.
+const COLUMNS_PER_LOOK: usize = 256;
+/// Multiplications of an elimination between two checks.
+const MULTIPLICATIONS_PER_LOOK: usize = 1 << 20;
+
 /// What a vertex has in a linear system: a number, or a displacement.
 pub(super) trait Unknown:
     Copy
@@ -154,6 +159,7 @@ impl<E: MatrixEntry> Factor<E> {
                 let update = std::mem::take(&mut updates[child]);
                 let rows = &order.reached[order.fronts[child].reached.clone()];
                 for (j, column) in rows.iter().enumerate() {
+                    look(j, cancelled)?;
                     let to = &mut dense[local[*column] * n..][..n];
                     for (i, row) in rows.iter().enumerate().skip(j) {
                         let at = &mut to[local[*row]];
@@ -167,19 +173,24 @@ impl<E: MatrixEntry> Factor<E> {
             values.copy_from_slice(&dense[..own * n]);
             let left = n - own;
             let mut update = Vec::with_capacity(left * left);
-            (own..n).for_each(|column| update.extend(&dense[column * n + own..(column + 1) * n]));
+            for column in own..n {
+                look(column - own, cancelled)?;
+                update.extend(&dense[column * n + own..(column + 1) * n]);
+            }
             updates[k] = update;
         }
         Some(factor)
     }
 
-    /// Solves in place; `x` by vertex.
+    /// Solves in place; `x` by vertex. `None` when cancelled, which is checked for each front.
     pub(super) fn solve<X: Unknown>(
         &self,
         order: &Dissection,
         x: &mut [X],
         work: &mut SolveSpace<X>,
-    ) where
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<()>
+    where
         E: Acts<X>,
     {
         let ordered = &mut work.ordered;
@@ -189,6 +200,9 @@ impl<E: MatrixEntry> Factor<E> {
             ordered[*place] = *value;
         }
         for front in &order.fronts {
+            if cancelled() {
+                return None;
+            }
             // A force on one anchor reaches few fronts on its way to the last one.
             if ordered[front.own.clone()]
                 .iter()
@@ -199,6 +213,7 @@ impl<E: MatrixEntry> Factor<E> {
             let local = gather(order, front, ordered, &mut work.local, false);
             let (own, n) = (front.own.len(), front.len());
             for j in 0..own {
+                look(j, cancelled)?;
                 let (head, tail) = local.split_at_mut(j + 1);
                 let column = &self.values[front.values + j * n + j + 1..][..n - j - 1];
                 let x = head[j];
@@ -218,9 +233,13 @@ impl<E: MatrixEntry> Factor<E> {
             *value = *value * (1.0 / pivot);
         }
         for front in order.fronts.iter().rev() {
+            if cancelled() {
+                return None;
+            }
             let local = gather(order, front, ordered, &mut work.local, true);
             let (own, n) = (front.own.len(), front.len());
             for j in (0..own).rev() {
+                look(j, cancelled)?;
                 let column = &self.values[front.values + j * n + j + 1..][..n - j - 1];
                 local[j] = local[j] - dot(column, &local[j + 1..]);
             }
@@ -229,6 +248,7 @@ impl<E: MatrixEntry> Factor<E> {
         for (value, place) in x.iter_mut().zip(&order.place) {
             *value = ordered[*place];
         }
+        Some(())
     }
 }
 
@@ -273,6 +293,12 @@ fn dot<E: MatrixEntry + Acts<X>, X: Unknown>(column: &[E], x: &[X]) -> X {
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
+/// `None` when cancelled, which is checked for some columns of a front.
+fn look(column: usize, cancelled: &dyn Fn() -> bool) -> Option<()> {
+    let is_due = column % COLUMNS_PER_LOOK == COLUMNS_PER_LOOK - 1;
+    (!(is_due && cancelled())).then_some(())
+}
+
 /// Eliminates the first `own` of `n` columns of a dense matrix, of which the lower triangle is
 /// given, column by column. Shapes: `dense: [n][n]`. `None` when cancelled.
 pub(super) fn eliminate<E: MatrixEntry>(
@@ -283,13 +309,18 @@ pub(super) fn eliminate<E: MatrixEntry>(
     cancelled: &dyn Fn() -> bool,
 ) -> Option<()> {
     let mut factors = Vec::with_capacity(own);
+    let mut since = 0;
     for column in 0..n {
-        if column.is_multiple_of(4) && cancelled() {
-            return None;
+        if column.is_multiple_of(4) || since >= MULTIPLICATIONS_PER_LOOK {
+            since = 0;
+            if cancelled() {
+                return None;
+            }
         }
         let (before, rest) = dense.split_at_mut(column * n);
         factors.clear();
         let eliminated = own.min(column);
+        since += eliminated * (n - column);
         let of = |k: usize| before[k * n + column].conj() * diagonal[k];
         factors.extend((0..eliminated).map(of));
         let target = &mut rest[column..n];

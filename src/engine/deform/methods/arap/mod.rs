@@ -178,14 +178,16 @@ impl PosableMesh {
     /// The displacements of all vertices of the lattice, px, and the least share of itself that a
     /// triangle keeps in the first step; `None` when cancelled.
     fn displace(&self, d: &[Vec2], cancelled: &dyn Fn() -> bool) -> Option<(Vec<Vec2>, f64)> {
-        self.moved(d, RigidPart::pose, cancelled)
+        let of_part =
+            |part: &RigidPart, d: &[Vec2], space: &mut PoseSpace| part.pose(d, space, cancelled);
+        self.moved(d, of_part, cancelled)
     }
 
     /// What `of_part` makes of the displacements of what is held in a part.
     fn moved(
         &self,
         d: &[Vec2],
-        of_part: impl Fn(&RigidPart, &[Vec2], &mut PoseSpace) -> (Vec<Vec2>, f64),
+        of_part: impl Fn(&RigidPart, &[Vec2], &mut PoseSpace) -> Option<(Vec<Vec2>, f64)>,
         cancelled: &dyn Fn() -> bool,
     ) -> Option<(Vec<Vec2>, f64)> {
         let mut u = vec![Vec2::ZERO; self.mesh.lattice().vertices().len()];
@@ -206,7 +208,7 @@ impl PosableMesh {
                     .iter()
                     .for_each(|v| u[*v as usize] = targets[0]),
                 Some(rigid) => {
-                    let (moved, share) = of_part(rigid, &targets, &mut space);
+                    let (moved, share) = of_part(rigid, &targets, &mut space)?;
                     least = least.min(share);
                     for (vertex, moved) in part.vertices.iter().zip(moved) {
                         u[*vertex as usize] = moved;
@@ -231,8 +233,9 @@ impl MeshSolver for PosableMesh {
     }
 
     fn carry(&self, d: &[Vec2], cancelled: &dyn Fn() -> bool) -> Option<Vec<[f32; 2]>> {
-        let of_part =
-            |part: &RigidPart, d: &[Vec2], space: &mut PoseSpace| (part.carry(d, space), 1.0);
+        let of_part = |part: &RigidPart, d: &[Vec2], space: &mut PoseSpace| {
+            Some((part.carry(d, space, cancelled)?, 1.0))
+        };
         let (u, _) = self.moved(d, of_part, cancelled)?;
         Some(self.mesh.drawn(&u))
     }

@@ -218,7 +218,8 @@ impl<E: MatrixEntry> HeldEnergy<E> {
                 let at = &mut column[*vertex as usize];
                 *at += E::ONE * of;
             }
-            held.factor.solve(order, &mut column, &mut space);
+            held.factor
+                .solve(order, &mut column, &mut space, cancelled)?;
             square.extend(anchors.iter().map(|other| {
                 let corners = other.vertices.iter().zip(other.weights);
                 corners.fold(E::default(), |sum, (vertex, of)| {
@@ -252,15 +253,15 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         Some(held)
     }
 
-    /// Moves the vertices so that the anchors are displaced by `by` more.
+    /// Moves the vertices so that the anchors are displaced by `by` more. `None` when cancelled.
     fn pull(
         &self,
-        order: &Dissection,
-        anchors: &[QuadAnchor],
+        (order, anchors): (&Dissection, &[QuadAnchor]),
         mut by: Vec<Vec2>,
         u: &mut [Vec2],
         space: &mut PoseSpace,
-    ) {
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<()> {
         // The forces that move the anchors where they belong: S = L D L^H, forwards, by the
         // diagonal, backwards.
         let (dense, pivots) = &self.compliance;
@@ -283,6 +284,9 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         match &self.response {
             Some(response) => {
                 for (response, force) in response.chunks_exact(u.len()).zip(by) {
+                    if cancelled() {
+                        return None;
+                    }
                     for (u, entry) in u.iter_mut().zip(response) {
                         *u += entry.act(force);
                     }
@@ -295,12 +299,14 @@ impl<E: MatrixEntry> HeldEnergy<E> {
                     anchor.spread(force, &mut space.forces);
                 }
                 let forces = &mut space.forces;
-                self.factor.solve(order, forces, &mut space.solve);
+                self.factor
+                    .solve(order, forces, &mut space.solve, cancelled)?;
                 u.iter_mut()
                     .zip(&*forces)
                     .for_each(|(u, moved)| *u += *moved);
             }
         }
+        Some(())
     }
 }
 
@@ -422,28 +428,47 @@ impl RigidPart {
     }
 
     /// The displacements of the vertices after the first step, in which triangles stay similar.
-    pub(super) fn similar(&self, targets: &[Vec2], space: &mut PoseSpace) -> Vec<Vec2> {
+    /// `None` when cancelled.
+    pub(super) fn similar(
+        &self,
+        targets: &[Vec2],
+        space: &mut PoseSpace,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<Vec<Vec2>> {
         let mut u = vec![Vec2::ZERO; self.mesh.positions.len()];
         let stretched = targets.iter().map(|d| *d * self.similar.stretch).collect();
+        let held = (&self.order, &*self.anchors);
         self.similar
-            .pull(&self.order, &self.anchors, stretched, &mut u, space);
-        u
+            .pull(held, stretched, &mut u, space, cancelled)?;
+        Some(u)
     }
 
     /// The displacements of the vertices that differ least along the edges, with those of the
-    /// anchors: no triangle turns.
-    pub(super) fn carry(&self, targets: &[Vec2], space: &mut PoseSpace) -> Vec<Vec2> {
+    /// anchors: no triangle turns. `None` when cancelled.
+    pub(super) fn carry(
+        &self,
+        targets: &[Vec2],
+        space: &mut PoseSpace,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<Vec<Vec2>> {
         let mut u = vec![Vec2::ZERO; self.mesh.positions.len()];
         let targets = targets.iter().map(|d| *d * self.congruent.stretch);
+        let held = (&self.order, &*self.anchors);
         self.congruent
-            .pull(&self.order, &self.anchors, targets.collect(), &mut u, space);
-        u
+            .pull(held, targets.collect(), &mut u, space, cancelled)?;
+        Some(u)
     }
 
     /// The displacements of the vertices when the anchors are displaced by `targets`, px, and the
-    /// least share that a triangle of the first step keeps of itself; 1 in the identity.
-    pub(super) fn pose(&self, targets: &[Vec2], space: &mut PoseSpace) -> (Vec<Vec2>, f64) {
-        let similar = self.similar(targets, space);
+    /// least share that a triangle of the first step keeps of itself; 1 in the identity. `None`
+    /// when cancelled.
+    pub(super) fn pose(
+        &self,
+        targets: &[Vec2],
+        space: &mut PoseSpace,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<(Vec<Vec2>, f64)> {
+        let similar = self.similar(targets, space, cancelled)?;
         let mut u = vec![Vec2::ZERO; similar.len()];
         let mut least = 1.0_f64;
         for (vertices, shape) in &self.mesh.quads {
@@ -456,13 +481,14 @@ impl RigidPart {
         }
         self.congruent
             .factor
-            .solve(&self.order, &mut u, &mut space.solve);
+            .solve(&self.order, &mut u, &mut space.solve, cancelled)?;
         let missing = self.anchors.iter().zip(targets);
         let missing = missing
             .map(|(anchor, target)| *target * self.congruent.stretch - anchor.displaced(&u))
             .collect();
+        let held = (&self.order, &*self.anchors);
         self.congruent
-            .pull(&self.order, &self.anchors, missing, &mut u, space);
-        (u, least)
+            .pull(held, missing, &mut u, space, cancelled)?;
+        Some((u, least))
     }
 }

@@ -154,8 +154,8 @@ impl MeshCase {
             .unwrap();
         assert!(!solved.is_soft());
         let mut space = PoseSpace::default();
-        let first = solved.similar(&targets, &mut space);
-        let (both, least) = solved.pose(&targets, &mut space);
+        let first = solved.similar(&targets, &mut space, NEVER).unwrap();
+        let (both, least) = solved.pose(&targets, &mut space, NEVER).unwrap();
         for (k, vertex) in vertices.iter().enumerate() {
             u[*vertex] = [first[k], both[k]];
         }
@@ -236,8 +236,10 @@ fn many_anchors_are_solved_for_as_few_are() {
     };
     let targets: Vec<Vec2> = anchors.iter().map(turned).collect();
     let mut space = PoseSpace::default();
-    let (many, _) = of(&anchors).pose(&targets, &mut space);
-    let (few, _) = of(&anchors[..20]).pose(&targets[..20], &mut space);
+    let (many, _) = of(&anchors).pose(&targets, &mut space, NEVER).unwrap();
+    let (few, _) = of(&anchors[..20])
+        .pose(&targets[..20], &mut space, NEVER)
+        .unwrap();
     assert!(many.iter().zip(&few).all(|(a, b)| (*a - *b).norm() < 1e-9));
 }
 
@@ -254,7 +256,7 @@ fn anchors_of_one_quad_are_held_less_strictly() {
     assert!(solved.is_soft());
     let mut space = PoseSpace::default();
     let shift = vec![Vec2::new(30.0, -20.0); anchors.len()];
-    let (moved, _) = solved.pose(&shift, &mut space);
+    let (moved, _) = solved.pose(&shift, &mut space, NEVER).unwrap();
     assert!(
         moved.iter().all(|u| (*u - shift[0]).norm() < 1e-4),
         "{:?}",
@@ -263,7 +265,8 @@ fn anchors_of_one_quad_are_held_less_strictly() {
     let zero = vec![Vec2::ZERO; anchors.len()];
     assert!(
         solved
-            .pose(&zero, &mut space)
+            .pose(&zero, &mut space, NEVER)
+            .unwrap()
             .0
             .iter()
             .all(|u| *u == Vec2::ZERO)

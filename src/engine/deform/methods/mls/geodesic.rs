@@ -132,19 +132,24 @@ impl GeodesicLeastSquares {
             distances: distances?,
             parts: Vec::new(),
         };
-        let (form, warnings) = map.find_parts(set, form)?;
+        let (form, warnings) = map.find_parts(set, form, cancelled)?;
         Ok((map, form, warnings))
     }
 
-    /// Divides the points among the parts; returns the form that has all of their coefficients.
+    /// Divides the points among the parts; returns the form that has all of their coefficients. At
+    /// worst O(points^2), if each is in a part of its own.
     fn find_parts(
         &mut self,
         set: &RestSet,
         wanted: CoefficientForm,
+        cancelled: IsCancelled<'_>,
     ) -> Result<(CoefficientForm, Vec<Warning>), DeformError> {
         let mask = self.nodes.mask();
         let mut members: Vec<Vec<usize>> = Vec::new();
         for (index, origin) in origins(&set.sources).iter().enumerate() {
+            if cancelled() {
+                return Err(DeformError::Cancelled);
+            }
             let (PathOrigin::Point(at) | PathOrigin::Segment(at, _)) = *origin;
             let pixel = mask.pixel_at(at, POSITION_TO_MASK_PX).unwrap_or_default();
             let reaches =
@@ -156,6 +161,9 @@ impl GeodesicLeastSquares {
         }
         let (mut form, mut warnings) = (wanted, Vec::new());
         for members in members {
+            if cancelled() {
+                return Err(DeformError::Cancelled);
+            }
             let sources = part_of(&set.sources, &members);
             let places = sources.points.iter().map(|point| Handle::Point(point.p));
             let lines = sources.segments.iter();

@@ -32,6 +32,7 @@ fn canvases_are_crops_and_bands_do_not_matter() {
                 &moved,
                 &output,
                 &Limits::default(),
+                &|| false,
             )
             .unwrap()
         };
@@ -207,6 +208,7 @@ fn what_a_picture_depends_on_is_in_its_digest() {
             posed,
             &output,
             &Limits::default(),
+            &|| false,
         )
         .unwrap()
         .etag()
@@ -260,7 +262,8 @@ fn what_a_picture_depends_on_is_in_its_digest() {
             RasterSource::Holes(&HARD.region()),
             &hard,
             &png,
-            &Limits::default()
+            &Limits::default(),
+            &|| false
         )
         .unwrap()
         .etag()
@@ -297,9 +300,10 @@ fn labels_are_chosen_and_coverage_is_mixed() {
         let (whole, still) = (posed(&case), at_rest(&case));
         let moved = posed(&case).within(region.clone());
         let grey = |subject, posed: &PosedMesh| {
-            let warp = RenderJob::new(subject, posed, &output, &Limits::default()).unwrap();
+            let warp =
+                RenderJob::new(subject, posed, &output, &Limits::default(), &|| false).unwrap();
             let mut bytes = vec![0; size.pixels() as usize * warp.drawer.pixel_bytes()];
-            warp.drawer.band(0..SIDE.1, &mut bytes);
+            warp.drawer.band(0..SIDE.1, &mut bytes, &|| false);
             bytes
                 .chunks_exact(warp.drawer.pixel_bytes())
                 .map(|pixel| pixel[0])

@@ -150,7 +150,9 @@ fn pixels(warp: &RenderJob, step: usize, depth: Depth) -> Pixels {
         .zip(bytes.chunks_mut(step * row))
     {
         warp.drawer
-            .band(first..size.height().min(first + step as u32), out);
+            .band(first..size.height().min(first + step as u32), out, &|| {
+                false
+            });
     }
     let channels = if pixel == 3 * depth.bytes() {
         Channels::Rgb
@@ -171,7 +173,7 @@ fn draw(subject: RasterSource<'_>, posed: &PosedMesh, output: &OutputSpec) -> Pi
         _ => Depth::Eight,
     };
     pixels(
-        &RenderJob::new(subject, posed, output, &Limits::default()).unwrap(),
+        &RenderJob::new(subject, posed, output, &Limits::default(), &|| false).unwrap(),
         1000,
         depth,
     )
