@@ -60,6 +60,12 @@ def selected(visit):
     visit.page.click("#mesh")
 
 
+def pinned(visit):
+    visit.sample("cat")
+    visit.click(60, 60)
+    visit.body("[data-selected='1']").ready()
+
+
 def folding(visit):
     visit.sample("cat")
     visit.page.select_option("#grid-size", "10")
@@ -330,7 +336,8 @@ def test_targets_are_large_enough_for_a_finger(visits):
     "width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})]
 )
 @pytest.mark.parametrize(
-    "state", [empty, ready, outlining, exporting, animating, waiting, told, choosing, beside]
+    "state",
+    [empty, ready, pinned, outlining, exporting, animating, waiting, told, choosing, beside],
 )
 def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     visit = visits(viewport={"width": width, "height": 700}, **more)
