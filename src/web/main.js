@@ -106,6 +106,11 @@ function toast(words) {
   toasting = setTimeout(() => node.classList.remove("seen"), 2600);
 }
 
+// It would cover what is wrong, and the buttons there.
+store.subscribe(({ problem }, previous) => {
+  if (problem && !previous.problem) find("toast").classList.remove("seen");
+});
+
 const KEYS = new Set(["unauthorized", "forbidden", "token_expired"]);
 const RETRIES = new Set([
   "network",

@@ -61,15 +61,19 @@ export class Inside {
   }
 
   /**
-   * The middle of the nearest pixel inside, and how far away it is, px of the picture; null if
-   * nothing is inside.
+   * The place itself if it is inside, otherwise the middle of the nearest pixel, and how far away
+   * that is, px of the picture; null if nothing is inside.
    * @param {Page.Place} place
    * @returns {{ place: Page.Place, away: number } | null}
    */
   #nearest(place) {
     const [x, y] = place.map((c) => c * this.scale);
-    /** @type {(left: number, top: number, side: number) => number} */
-    const away = (left, top, side) => Math.hypot(beside(x, left, side), beside(y, top, side));
+    if (this.#isInside(Math.floor(x), Math.floor(y))) return { place, away: 0 };
+    /**
+     * The square of the distance.
+     * @type {(left: number, top: number, side: number) => number}
+     */
+    const away = (left, top, side) => beside(x, left, side) ** 2 + beside(y, top, side) ** 2;
     let least = Infinity;
     let best = /** @type {Page.Place} */ (place);
     /** @type {(block: [number, number]) => void} */
@@ -90,7 +94,7 @@ export class Inside {
     if (!first) return null;
     search(first);
     for (const block of this.#blocks) if (away(...block, BLOCK) < least) search(block);
-    return { place: best.map((c) => c / this.scale), away: least / this.scale };
+    return { place: best.map((c) => c / this.scale), away: Math.sqrt(least) / this.scale };
   }
 
   /**

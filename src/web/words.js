@@ -194,7 +194,7 @@ export function problemWords({
   detail: told,
   handle,
   coincident,
-  beside,
+  beside = [],
   status,
   opening,
   link,

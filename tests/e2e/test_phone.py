@@ -81,6 +81,7 @@ def test_a_cut_out_is_bent_and_shared_by_touch(visits, horse, tmp_path, way):
         fingers.move(a=corner)
     fingers.lift()
     visit.body("[data-problem=outside_mask]")
+    assert not page.locator("#toast.seen").count()
     looks(visit, f"{way}-region")
     page.tap("#problem-action")
     page.tap("label:has(#tool-point)")
