@@ -6,7 +6,7 @@ use super::handles::{COINCIDENT_SHARE, Handle, Handles};
 use crate::geometry::{Point, Vec2};
 
 /// Points that all lie within this distance of their mean count as one position, px.
-pub(super) const ONE_PLACE: f64 = 1e-6;
+pub(super) const ONE_PLACE_PX: f64 = 1e-6;
 
 /// An element: a point or a segment at rest.
 #[derive(Clone, Copy, Debug)]
@@ -134,7 +134,7 @@ pub(super) fn rank(handles: &Handles) -> Rank {
         return Rank::Empty;
     };
     // A segment has a direction, however short.
-    if handles.extent() <= ONE_PLACE && !handles.has_lines() {
+    if handles.extent() <= ONE_PLACE_PX && !handles.has_lines() {
         return Rank::OnePlace;
     }
     #[expect(

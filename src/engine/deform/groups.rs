@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-use super::columns::ONE_PLACE;
+use super::columns::ONE_PLACE_PX;
 use super::conflicts::{Conflicts, Member};
 use super::handles::COINCIDENT_SHARE;
 use super::{DeformError, Handle, Handles};
@@ -38,8 +38,8 @@ pub struct Coincident {
 
 /// The distance up to which the positions of a set of this extent coincide, px.
 pub(super) fn coincidence_distance(extent: f64) -> f64 {
-    if extent <= ONE_PLACE {
-        2.0 * ONE_PLACE
+    if extent <= ONE_PLACE_PX {
+        2.0 * ONE_PLACE_PX
     } else {
         COINCIDENT_SHARE * extent
     }

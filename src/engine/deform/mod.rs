@@ -1,6 +1,7 @@
 //! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in an
 //! anchored form that computes ratios first and keeps full precision next to handles and on the
-//! extension of segments; and the thin-plate spline, which has no such local fit.
+//! extension of segments; the other methods (`methods` has a file or folder for each); and what all
+//! of them share: poses, subdivision, the inverse.
 
 #[forbid(unsafe_code)]
 mod carried;

@@ -4,7 +4,7 @@
 //! 10.5).
 
 use super::Handle;
-use super::columns::ONE_PLACE;
+use super::columns::ONE_PLACE_PX;
 use super::handles::COINCIDENT_SHARE;
 use crate::geometry::{Point, Vec2};
 
@@ -269,7 +269,7 @@ impl PairSums {
             self.turned.norm(),
             (self.from_spread * self.to_spread).sqrt(),
         );
-        let has_extent = self.from_extent > ONE_PLACE && self.to_extent > ONE_PLACE;
+        let has_extent = self.from_extent > ONE_PLACE_PX && self.to_extent > ONE_PLACE_PX;
         (has_extent && length > LEAST_CORRELATION * most).then(|| self.turned * (1.0 / length))
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crate::config::Config;
 
-/// Of connecting, of each write and of each read.
+/// The longest time of connecting, of each write and of each read.
 const TIMEOUT: Duration = Duration::from_secs(3);
 /// Bytes of a response that are read: its head, and the words about a wrong protocol.
 const RESPONSE_BYTES: u64 = 4096;

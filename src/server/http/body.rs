@@ -168,7 +168,7 @@ impl Drop for LimitedBody {
 /// Buffers of more bytes are moved on a blocking thread. To move as many takes a tenth of a
 /// millisecond, with the pages of the new buffer; the two hand-overs to a thread and back take as
 /// long.
-const MAX_COPIED_HERE: usize = 512 << 10;
+const MAX_COPIED_INLINE_BYTES: usize = 512 << 10;
 /// A buffer that a session keeps may have this share of unused bytes: one in this number.
 const MAX_UNUSED_SHARE: usize = 64;
 /// Memory of a request beside its body: its head, its task, its stream.
@@ -227,7 +227,7 @@ impl<'a> BodyBuffer<'a> {
                 .reserve_aside(|_| self.held.grow(capacity as u64))
                 .await?;
             let mut bytes = std::mem::take(&mut self.bytes);
-            let is_long = bytes.len() > MAX_COPIED_HERE;
+            let is_long = bytes.len() > MAX_COPIED_INLINE_BYTES;
             let grow = move || {
                 bytes.reserve_exact(capacity - bytes.len());
                 bytes
@@ -250,7 +250,7 @@ impl<'a> BodyBuffer<'a> {
     /// The bytes in a buffer of their size, for a session to keep.
     pub(crate) async fn finish_exact(mut self) -> Bytes {
         let mut bytes = std::mem::take(&mut self.bytes);
-        let is_long = bytes.len() > MAX_COPIED_HERE;
+        let is_long = bytes.len() > MAX_COPIED_INLINE_BYTES;
         // A few unused bytes, which are counted, cost less than moving all others.
         let is_exact = bytes.capacity() - bytes.len() <= bytes.len() / MAX_UNUSED_SHARE;
         let shrink = move || {

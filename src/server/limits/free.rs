@@ -5,13 +5,15 @@ use tokio::runtime::Handle;
 
 /// Values of fewer bytes are freed where they are dropped: handing them to another thread would
 /// take longer.
-const MIN_ASIDE: u64 = 2 << 20;
+const MIN_ASIDE_BYTES: u64 = 2 << 20;
 
 /// Drops a value of this number of bytes: on a blocking thread, if this may be a thread of the
 /// runtime.
 pub fn free<T: Send + 'static>(value: T, bytes: u64) {
     match Handle::try_current() {
-        Ok(runtime) if bytes >= MIN_ASIDE => drop(runtime.spawn_blocking(move || drop(value))),
+        Ok(runtime) if bytes >= MIN_ASIDE_BYTES => {
+            drop(runtime.spawn_blocking(move || drop(value)))
+        }
         _ => drop(value),
     }
 }
@@ -40,9 +42,9 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .build()
             .unwrap();
-        runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE - 1) });
+        runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE_BYTES - 1) });
         assert_eq!(said.recv().unwrap(), here, "a small one");
-        runtime.block_on(async { free(Large(says), MIN_ASIDE) });
+        runtime.block_on(async { free(Large(says), MIN_ASIDE_BYTES) });
         assert_ne!(said.recv().unwrap(), here);
     }
 }

@@ -19,7 +19,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// That of a request which has waited so long for a worker.
+    /// The times of a request that has waited this long for a worker, and done nothing yet.
     pub(crate) fn queued(queue: Duration) -> Self {
         Self {
             queue,

@@ -22,7 +22,7 @@ use super::{CodecError, Dropped, Profile, StepCounter};
 /// Upper bound of the memory of metadata beside the profile, bytes.
 pub const METADATA_BYTES: u64 = 512 << 10;
 /// The largest sum of a file's texts or of its comments, bytes.
-const MOST_TEXT: usize = 64 << 10;
+const MOST_TEXT_BYTES: usize = 64 << 10;
 /// The most texts or comments of a file.
 const MOST_TEXTS: usize = 256;
 
@@ -73,7 +73,7 @@ impl<'a> Found<'a> {
 
 /// Whether `more` bytes fit beside texts of these lengths.
 fn has_room(lengths: impl ExactSizeIterator<Item = usize>, more: usize) -> bool {
-    lengths.len() < MOST_TEXTS && lengths.sum::<usize>() + more <= MOST_TEXT
+    lengths.len() < MOST_TEXTS && lengths.sum::<usize>() + more <= MOST_TEXT_BYTES
 }
 
 /// The metadata of a file, as far as they are kept.

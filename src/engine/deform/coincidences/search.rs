@@ -10,7 +10,7 @@ use std::collections::HashMap;
 
 use super::{CONFLICT_SHARE, Coincidences};
 use crate::deform::DeformError;
-use crate::deform::columns::{Element, ONE_PLACE, RestSegment};
+use crate::deform::columns::{Element, ONE_PLACE_PX, RestSegment};
 use crate::deform::groups::coincidence_distance;
 use crate::geometry::{Point, Vec2};
 
@@ -177,7 +177,7 @@ impl<'a> CoincidenceSearch<'a> {
             return Ok(());
         }
         // At least the rounding error of a projection.
-        let reach = self.coincident.max(ONE_PLACE);
+        let reach = self.coincident.max(ONE_PLACE_PX);
         let few = FEW_PAIRS * self.elements.len() as u64;
         let mut best: Option<Sweep> = None;
         let mut direction = Vec2::new(1.0, 0.0);

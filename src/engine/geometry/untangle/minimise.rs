@@ -10,7 +10,7 @@ const HALVINGS: u32 = 20;
 /// The least gain of a step, as a share of what its slope promises.
 const LEAST_GAIN: f64 = 1e-4;
 /// A step that gains less than this share of the energy is the last one.
-const ENOUGH: f64 = 1e-9;
+const MENDED_DETERMINANT: f64 = 1e-9;
 /// The length of the first step, px.
 const FIRST_STEP: f64 = 0.5;
 
@@ -74,7 +74,7 @@ pub(super) fn minimise(
         }
         x.copy_from_slice(&next);
         slope.copy_from_slice(&next_slope);
-        if gained <= ENOUGH * lowest.abs() || spent >= spare {
+        if gained <= MENDED_DETERMINANT * lowest.abs() || spent >= spare {
             break;
         }
     }

@@ -22,7 +22,7 @@ const MOST_OFF: f64 = 0.05;
 const PASSES: u32 = 20;
 const HALVING_PASSES: u32 = 10;
 /// A patch is mended when its least determinant is above this.
-const ENOUGH: f64 = 1e-4;
+const MENDED_DETERMINANT: f64 = 1e-4;
 /// Evaluations of the energy in all rounds. Ordinary folds need 60 to 270.
 const MOST_EVALUATIONS: u32 = 4000;
 
@@ -240,7 +240,7 @@ impl<'a> FreePatch<'a> {
             least = self.least(places);
             let off = self.targets.iter().map(|target| target.off(places).norm());
             let is_off = off.fold(0.0, f64::max) > MOST_OFF;
-            if (least > ENOUGH && !is_off) || evaluations >= MOST_EVALUATIONS {
+            if (least > MENDED_DETERMINANT && !is_off) || evaluations >= MOST_EVALUATIONS {
                 break;
             }
             if is_off {

@@ -27,6 +27,7 @@ use crate::pixmap::{Channels, Extent};
 pub(crate) const STRIP_ROWS: u32 = 32;
 /// Pixels behind the end of a row that kernels may write.
 const SLACK_PIXELS: usize = LANES;
+
 /// A prepared mesh.
 #[derive(Debug)]
 pub(super) struct Drawing {
@@ -278,8 +279,8 @@ impl Drawing {
             .clone()
             .all(|row| self.strategies.of(row) == RowStrategy::Scanline);
         let pitch = width + SLACK_PIXELS;
-        // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless
-        // they are extended; the others follow it.
+        // Rows drawn by crossings alone are computed and used one by one, in the first row of the
+        // scratch, unless they are extended; the others follow it.
         let size = if all_plain && !self.is_extended() {
             1
         } else {

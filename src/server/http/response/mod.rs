@@ -339,7 +339,7 @@ pub(crate) fn session(shown: ShownSession) -> Response {
 
 /// The head of a JSON response whose content is not wanted.
 pub(crate) fn json_head() -> Response {
-    // Of unknown length.
+    // Without `Content-Length`: the length is known only when the content has been made.
     (
         json_headers(),
         Body::from_stream(empty::<Result<Bytes, Infallible>>()),

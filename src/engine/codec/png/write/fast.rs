@@ -23,7 +23,7 @@ const SAMPLE_BYTES: usize = 16 << 10;
 const SAMPLED_WEIGHT: u32 = 8;
 
 /// Smaller strips look up single bytes, because the table of pairs costs about 15 us.
-const PAIRS_FROM: usize = 48 << 10;
+const PAIRS_FROM_BYTES: usize = 48 << 10;
 
 /// The parts of `body` that differ between levels. The defaults are the portable code.
 pub(super) trait FastKernel: Sized {
@@ -31,7 +31,7 @@ pub(super) trait FastKernel: Sized {
     /// closure, so that it is compiled for the level of its caller.
     #[inline(always)]
     fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
-        if coder.rows.filtered_len() < PAIRS_FROM {
+        if coder.rows.filtered_len() < PAIRS_FROM_BYTES {
             return coder.code::<Self>(single);
         }
         let mut pairs = PAIRS

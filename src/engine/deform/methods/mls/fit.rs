@@ -58,7 +58,7 @@ pub(in crate::deform) fn fit<const N: usize>(
             turn.put(&gx, &gy, &mass, &mut rows.h[column], &mut rows.wn[column]);
         }
     }
-    // A pose multiplies e by a rotation in the axes of the picture, so e is turned back too.
+    // A pose multiplies e by a rotation in the axes of the image, so e is turned back too.
     let ([ex, ey], [tx, ty]) = (&e, tau);
     for k in 0..N {
         rows.e[0][k] = ex[k] * tx[k] - ey[k] * ty[k];
