@@ -1,6 +1,6 @@
 // Averages, morphs, caricatures and symmetric faces: one sum over several images.
 
-import { Held, inUse } from "./instance.js";
+import { Held, inUse, numberIn } from "./instance.js";
 import { SourceImage, pixelsOf } from "./pose.js";
 
 /** @typedef {import("./plan.js").Handle} Handle */
@@ -39,20 +39,20 @@ export class Blend extends Held {
   constructor(instance, images, object) {
     /** @type {SourceImage[]} */
     const copies = [];
-    const held = images.map((image) => {
+    /** @type {(image: Pixels | SourceImage) => SourceImage} */
+    const held = (image) => {
       if (image instanceof SourceImage) return image;
-      const copy = SourceImage.of(instance, image);
-      copies.push(copy);
-      return copy;
-    });
+      copies.push(SourceImage.of(instance, image));
+      return copies[copies.length - 1];
+    };
     try {
-      const numbers = new Uint32Array(held.map((image) => inUse(image)[1]));
+      const numbers = new Uint32Array(images.map((image) => numberIn(instance, held(image))));
       super(instance, instance.make("blend", instance.put(numbers), instance.putJson(object)));
     } finally {
       // The blend holds what it needs of them.
       copies.forEach((copy) => copy.dispose());
     }
-    this.#space = held[0].colorSpace;
+    this.#space = images[0].colorSpace;
     this.#frames = instance.count("frames", inUse(this)[1]);
   }
 
@@ -74,13 +74,21 @@ export class Blend extends Held {
     const pixels = { width, height, bytes: bytes.subarray(12 + length) };
     return { image: pixelsOf(pixels, this.#space), ...report };
   }
+}
 
-  /** @returns {Generator<Blended, void>} the results, each made when it is taken */
-  *[Symbol.iterator]() {
-    try {
-      for (let index = 0; index < this.#frames; index++) yield this.frame(index);
-    } finally {
-      this.dispose();
-    }
+/**
+ * The results of a blend, each made when it is taken. A generator that is never asked holds nothing.
+ *
+ * @param {import("./instance.js").Instance} instance
+ * @param {(Pixels | SourceImage)[]} images
+ * @param {BlendObject} object
+ * @returns {Generator<Blended, void>}
+ */
+export function* framesOf(instance, images, object) {
+  const blend = new Blend(instance, images, object);
+  try {
+    for (let index = 0; index < blend.frames; index++) yield blend.frame(index);
+  } finally {
+    blend.dispose();
   }
 }

@@ -3,7 +3,7 @@
 // The engine of mlswarp in the browser and in Node: plans, poses, pixels, points and files, without
 // a server. Everything but loading is synchronous.
 
-import { Blend } from "./blend.js";
+import { Blend, framesOf } from "./blend.js";
 import { EngineCrashed, MlswarpError } from "./errors.js";
 import { Instance } from "./instance.js";
 import { moduleOf } from "./module.js";
@@ -157,7 +157,7 @@ export class Engine {
    * @returns {Generator<Blended, void>}
    */
   blendFrames(images, blend) {
-    return new Blend(this.#instance, images, blend)[Symbol.iterator]();
+    return framesOf(this.#instance, images, blend);
   }
 
   /** Bytes of its memory. It grows when it must, and never shrinks before `dispose`. */

@@ -208,6 +208,18 @@ export class Instance {
  */
 export let inUse;
 
+/**
+ * The number of an object in this instance. Elsewhere that number means something else.
+ *
+ * @param {Instance} instance
+ * @param {Held} held
+ */
+export function numberIn(instance, held) {
+  const [own, number] = inUse(held);
+  if (own !== instance) throw new TypeError(`this ${held.constructor.name} is of another engine`);
+  return number;
+}
+
 /** What stands for an object of an instance until it is disposed of. */
 export class Held {
   /** @type {Instance} */

@@ -1,6 +1,6 @@
 // What follows from one pose: pixels, labels, positions, a mesh.
 
-import { Held, inUse } from "./instance.js";
+import { Held, inUse, numberIn } from "./instance.js";
 
 /**
  * RGBA, not premultiplied: an ImageData, or an object with the same members where that class is
@@ -131,7 +131,7 @@ export class Pose extends Held {
    * @param {OutputOptions} output
    */
   #draw(source, output) {
-    const { width, height, bytes } = this.#drawn(inUse(source)[1], output);
+    const { width, height, bytes } = this.#drawn(numberIn(inUse(this)[0], source), output);
     return pixelsOf({ width, height, bytes: bytes.subarray(8) }, source.colorSpace);
   }
 

@@ -140,6 +140,19 @@ class WorkerHeld {
 /** An image in the memory of the worker's engine. */
 export class WorkerImage extends WorkerHeld {}
 
+/**
+ * What is sent for an image: its number, if it is in the memory of this worker.
+ *
+ * @param {Calls} calls
+ * @param {import("./index.js").Pixels | WorkerImage} image
+ */
+function sentTo(calls, image) {
+  if (!(image instanceof WorkerImage)) return image;
+  const { calls: own, number } = partsOf(image);
+  if (own !== calls) throw new TypeError("this WorkerImage is of another engine");
+  return { heldByWorker: number };
+}
+
 /** As `Plan`. */
 export class WorkerPlan extends WorkerHeld {
   /**
@@ -173,8 +186,8 @@ export class WorkerPose extends WorkerHeld {
    * @param {Abortable} [options]
    * @returns {Promise<import("./pose.js").DrawnPixels>}
    */
-  warp(image, output = {}, { signal } = {}) {
-    const given = image instanceof WorkerImage ? { heldByWorker: partsOf(image).number } : image;
+  async warp(image, output = {}, { signal } = {}) {
+    const given = sentTo(partsOf(this).calls, image);
     return callOn(this, "warp", [given, output], signal);
   }
 
@@ -316,10 +329,8 @@ export class WorkerEngine {
    * @param {Abortable} [options]
    * @returns {Promise<import("./index.js").Blended>}
    */
-  blend(images, blend, { signal } = {}) {
-    const given = images.map((image) =>
-      image instanceof WorkerImage ? { heldByWorker: partsOf(image).number } : image,
-    );
+  async blend(images, blend, { signal } = {}) {
+    const given = images.map((image) => sentTo(this.#calls, image));
     return this.#calls.call(0, "blend", [given, blend], signal);
   }
 

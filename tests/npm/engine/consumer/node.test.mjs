@@ -147,9 +147,15 @@ test("images are added, and nothing of a blend stays in memory", async () => {
   );
   assert.throws(() => engine.blend([], { images: [{ image: 0, p }] }), MlswarpError);
   for (const _ of engine.blendFrames([one, other], { images: same, steps: 1000 })) break;
+  const invalid = { ...other, data: new Float32Array(4) };
+  assert.throws(() => engine.blend([one, invalid], { images: same }), /Uint8ClampedArray/);
+  // An image of another engine would be whatever has its number here.
+  const foreign = (await load()).image(one);
+  assert.throws(() => engine.blend([one, foreign], { images: same }), /of another engine/);
+  assert.throws(() => plan.pose(half).warp(foreign), /of another engine/);
   plan.dispose();
-  // Its pose was forgotten, not disposed of.
-  assert.equal(engine.objects, 1);
+  // Two of its poses were forgotten, not disposed of.
+  assert.equal(engine.objects, 2);
 });
 
 test("landmark files are read", async () => {
