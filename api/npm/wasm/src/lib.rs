@@ -181,8 +181,8 @@ pub extern "C" fn frames(blend: u32) -> usize {
     with::<Blend, _>(blend, Blend::frames).unwrap_or(0)
 }
 
-/// A buffer with width, height and the bytes of a report (u32), that report, and the RGBA bytes of a
-/// frame.
+/// A buffer with width, height and the bytes of a report (u32), that report, and the RGBA bytes of
+/// a frame.
 #[unsafe(no_mangle)]
 pub extern "C" fn frame(blend: u32, index: usize) -> u32 {
     result(|| blend::frame(&*get::<Blend>(blend)?, index).map(Object::Buffer))

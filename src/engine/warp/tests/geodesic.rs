@@ -482,17 +482,18 @@ fn winding(y: u32, row: &mut [Membership]) {
 fn fifty_megapixels_of_noise_are_refused_before_they_are_computed() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     let limits = Limits::default();
-    for (name, picture) in [
-        ("dots", dots as fn(u32, &mut [Membership])),
-        ("checkerboard", checkerboard),
-        ("winding", winding),
+    let (one, many): (&[i32], &[i32]) = (&[1], &[1, 10_000]);
+    for (name, picture, counts) in [
+        ("dots", dots as fn(u32, &mut [Membership]), many),
+        ("checkerboard", checkerboard, one),
+        ("winding", winding, one),
     ] {
         let mask = RestMask {
             mask: Arc::new(Mask::new(7000, 7000, picture, &|| false).unwrap()),
             digest: Digest::of(name.as_bytes()),
         };
         let extent = extent(&mask);
-        for count in [1, 10_000] {
+        for &count in counts {
             let at = |k: i32| {
                 (
                     f64::from(k % 100) * 70.0 + 3.5,
@@ -501,7 +502,7 @@ fn fifty_megapixels_of_noise_are_refused_before_they_are_computed() {
             };
             let p = points(&(0..count).map(at).collect::<Vec<_>>());
             let rest = inside(p, Method::Rigid, &mask);
-            // Of what is computed a part at most is held at once.
+            // The estimate of memory is bounded, or refuses the mask itself.
             match rest.field_bytes(&limits, &|| false) {
                 Ok(bytes) => assert!(bytes.peak < 3 * limits.plan_bytes, "{name} {count}"),
                 Err(error) => assert!(matches!(error, WarpError::TooLarge { .. }), "{error:?}"),
