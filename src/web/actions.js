@@ -61,12 +61,12 @@ export class Actions {
 
   /**
    * Adds a handle at these posed positions, selects it and focuses it. What lies beside an outline
-   * is moved to the nearest place inside, if that is within `reach` px.
+   * is moved to the nearest place inside, if that is within `reach` px. A draft stays if it is
+   * refused: it may be many taps.
    * @param {Page.Place[]} posed
    * @param {number} [reach]
    */
   add(posed, reach = SNAP / this.view.zoom) {
-    this.store.do("draft", { places: [] });
     if (posed.length > 1 && edits.takesPinsOnly(this.state.document)) return this.say(PINS_ONLY);
     if (posed.length < 2 && edits.takesLinesOnly(this.state.document)) return this.say(LINES_ONLY);
     const rest = posed.map((place) => this.restOf(place));
@@ -81,6 +81,7 @@ export class Actions {
     const made = edits.added(this.state.document, p, q);
     if (!made) return this.tell(isMoved ? OUTLINE.beside : "A line needs two different points");
     const document = this.#keepFocus(made.document);
+    this.store.do("draft", { places: [] });
     this.edit(document, { select: [made.key] });
     const index = this.state.document.handles.length - 1;
     const handle = this.state.document.handles[index];
@@ -131,7 +132,10 @@ export class Actions {
     if (tool === "point") return this.add([place]);
     if (tool === "brush") return this.outline([place]);
     const places = [...draft, place];
-    if (tool === "line" && places.length === 2) return this.add(places);
+    if (tool === "line" && places.length === 2) {
+      this.store.do("draft", { places: [] });
+      return this.add(places);
+    }
     this.store.do("draft", { places });
     this.say(`${edits.toolName(tool)}: ${count(places.length, "point")}`);
   }
@@ -418,10 +422,17 @@ export class Actions {
     this.say(`The border is pinned${this.#focusKept(next === made.document)}`);
   }
 
-  /** @param {boolean} back */
+  /**
+   * While something is drawn, undo takes back its last point.
+   * @param {boolean} back
+   */
   undo(back) {
-    const { past, future, before, phase } = this.state;
+    const { past, future, before, phase, draft, tool } = this.state;
     if (before || phase === "uploading") return;
+    if (back && draft.length) {
+      this.store.do("draft", { places: draft.slice(0, -1) });
+      return this.say(`${edits.toolName(tool)}: ${count(draft.length - 1, "point")}`);
+    }
     if (!(back ? past : future).length) return this.step(back);
     this.store.do(back ? "undo" : "redo");
     this.say(back ? "Undone" : "Redone");

@@ -271,7 +271,7 @@ export class Panel {
     document.title = state.picture ? `${state.picture.name} – mlswarp` : "mlswarp";
     const { undo, redo } = steps(state);
     find("history").hidden = !open && !undo && !redo;
-    find("undo").disabled = !undo;
+    find("undo").disabled = !undo && !state.draft.length;
     find("redo").disabled = !redo;
     find("waiting").hidden = !state.waiting;
     if (state.waiting) text("waiting-text", waitingWords(state.waiting));
