@@ -31,6 +31,9 @@ import { known } from "./dom.js";
  */
 
 export class Problem extends Error {
+  /** @type {boolean | undefined} */
+  #canMove;
+
   /**
    * @param {ProblemMembers} members
    * @param {number} status
@@ -47,8 +50,8 @@ export class Problem extends Error {
     this.coincident = undefined;
     /** Indices of the handles beside the outline, as far as this page sees. @type {number[]} */
     this.beside = [];
-    /** Whether some of them can be moved to a place inside. */
-    this.canMoveInside = false;
+    /** Finds whether they can be moved to places inside. @type {() => boolean} */
+    this.findMove = () => false;
     /** @type {ProblemMembers["items"]} */
     this.items = undefined;
     /** @type {ProblemMembers["item_count"]} */
@@ -64,6 +67,11 @@ export class Problem extends Error {
     /** Whether something could not be opened: the page is as it was. */
     this.opening = false;
     Object.assign(this, members);
+  }
+
+  /** Whether the handles beside the outline can be moved to places inside: found when it is shown. */
+  get canMoveInside() {
+    return (this.#canMove ??= this.findMove());
   }
 
   /** @param {Response} response */

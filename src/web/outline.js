@@ -14,6 +14,9 @@ const MOST_BESIDE = 0.05;
 /** Sides of the squares that are looked at before their pixels. */
 const BLOCK = 16;
 
+/** Pixels that are read at once. */
+const BAND = 1 << 20;
+
 /**
  * The distance of a place from a square, per axis.
  * @type {(at: number, low: number, side: number) => number}
@@ -21,9 +24,6 @@ const BLOCK = 16;
 const beside = (at, low, side) => Math.max(0, low - at, at - low - side);
 
 export class Inside {
-  /** @type {[x: number, y: number][]} */
-  #blocks = [];
-
   /**
    * `alpha`: of each pixel, row by row, `scale` times as many along a side as the picture has;
    * `least`: those above it are inside.
@@ -38,8 +38,10 @@ export class Inside {
     this.height = alpha.length / width;
     this.scale = scale;
     this.least = least;
-    for (let y = 0; y < this.height; y += BLOCK)
-      for (let x = 0; x < width; x += BLOCK) if (this.#hasAny(x, y)) this.#blocks.push([x, y]);
+    this.columns = Math.ceil(width / BLOCK);
+    this.rows = Math.ceil(this.height / BLOCK);
+    /** Which blocks have a pixel inside: 0 is not known yet, 1 no, 2 yes. */
+    this.blocks = new Uint8Array(this.columns * this.rows);
   }
 
   /** @type {(x: number, y: number) => boolean} */
@@ -53,20 +55,31 @@ export class Inside {
     );
   }
 
-  /** @type {(left: number, top: number) => boolean} */
-  #hasAny(left, top) {
-    for (let y = top; y < top + BLOCK; y++)
-      for (let x = left; x < left + BLOCK; x++) if (this.#isInside(x, y)) return true;
+  /** @type {(column: number, row: number) => boolean} */
+  #hasAny(column, row) {
+    const { alpha, width, least, blocks } = this;
+    const block = row * this.columns + column;
+    if (blocks[block]) return blocks[block] === 2;
+    blocks[block] = 1;
+    const right = Math.min(width, (column + 1) * BLOCK);
+    const bottom = Math.min(this.height, (row + 1) * BLOCK);
+    for (let y = row * BLOCK; y < bottom; y++)
+      for (let k = y * width + column * BLOCK; k < y * width + right; k++)
+        if (alpha[k] > least) {
+          blocks[block] = 2;
+          return true;
+        }
     return false;
   }
 
   /**
    * The place itself if it is inside, otherwise the middle of the nearest pixel, and how far away
-   * that is, px of the picture; null if nothing is inside.
+   * that is, px of the picture; null if nothing is inside that is at most `reach` px away.
    * @param {Page.Place} place
+   * @param {number} reach
    * @returns {{ place: Page.Place, away: number } | null}
    */
-  #nearest(place) {
+  #nearest(place, reach) {
     const [x, y] = place.map((c) => c * this.scale);
     if (this.#isInside(Math.floor(x), Math.floor(y))) return { place, away: 0 };
     /**
@@ -74,27 +87,33 @@ export class Inside {
      * @type {(left: number, top: number, side: number) => number}
      */
     const away = (left, top, side) => beside(x, left, side) ** 2 + beside(y, top, side) ** 2;
-    let least = Infinity;
-    let best = /** @type {Page.Place} */ (place);
-    /** @type {(block: [number, number]) => void} */
-    const search = ([left, top]) => {
+    let least = (reach * this.scale) ** 2;
+    /** @type {Page.Place[]} */
+    const best = [];
+    /** @type {(column: number, row: number) => void} */
+    const search = (column, row) => {
+      const [left, top] = [column * BLOCK, row * BLOCK];
+      if (away(left, top, BLOCK) > least || !this.#hasAny(column, row)) return;
       for (let v = top; v < top + BLOCK; v++)
         for (let u = left; u < left + BLOCK; u++) {
           const far = away(u, v, 1);
-          if (far < least && this.#isInside(u, v)) [least, best] = [far, [u + 0.5, v + 0.5]];
+          if (far <= least && this.#isInside(u, v)) [least, best[0]] = [far, [u + 0.5, v + 0.5]];
         }
     };
-    // The nearest block first: it excludes most of the others.
-    let first = null;
-    let nearest = Infinity;
-    for (const block of this.#blocks) {
-      const far = away(...block, BLOCK);
-      if (far < nearest) [first, nearest] = [block, far];
+    // Rings of blocks around the place, until the next one is farther away than what is found.
+    const { columns, rows } = this;
+    const column = Math.min(columns - 1, Math.max(0, Math.floor(x / BLOCK)));
+    const row = Math.min(rows - 1, Math.max(0, Math.floor(y / BLOCK)));
+    for (let ring = 0; ring < Math.max(columns, rows); ring++) {
+      if ((BLOCK * Math.max(0, ring - 1)) ** 2 > least) break;
+      for (let r = Math.max(0, row - ring); r <= Math.min(rows - 1, row + ring); r++) {
+        const step = Math.abs(r - row) === ring ? 1 : 2 * ring;
+        for (let c = column - ring; c <= column + ring; c += step)
+          if (c >= 0 && c < columns) search(c, r);
+      }
     }
-    if (!first) return null;
-    search(first);
-    for (const block of this.#blocks) if (away(...block, BLOCK) < least) search(block);
-    return { place: best.map((c) => c / this.scale), away: Math.sqrt(least) / this.scale };
+    if (!best.length) return null;
+    return { place: best[0].map((c) => c / this.scale), away: Math.sqrt(least) / this.scale };
   }
 
   /**
@@ -105,9 +124,8 @@ export class Inside {
    * @returns {Page.Place | null}
    */
   placeFor(place, reach = Infinity) {
-    const found = this.#nearest(place);
-    if (!found || found.away > Math.max(NEAR, reach)) return null;
-    return found.away <= NEAR ? place : found.place;
+    const found = this.#nearest(place, Math.max(NEAR, reach));
+    return found && (found.away <= NEAR ? place : found.place);
   }
 
   /**
@@ -118,15 +136,25 @@ export class Inside {
     return places.every((b, k) => {
       const a = places[Math.max(0, k - 1)];
       const steps = Math.ceil(this.scale * Math.hypot(b[0] - a[0], b[1] - a[1])) || 1;
-      return Array.from({ length: steps + 1 }, (_, n) => n / steps).every((t) => {
-        const [x, y] = a.map((c, axis) => Math.floor(this.scale * (c + t * (b[axis] - c))));
+      for (let n = 0; n <= steps; n++) {
+        const [x, y] = a.map((c, axis) => this.scale * (c + (n / steps) * (b[axis] - c)));
         // The ends may be beside the inside, and a reduced picture has lost what is thin.
-        const slack = t * steps <= NEAR || (1 - t) * steps <= NEAR ? NEAR + 1 : 1;
-        for (let v = y - slack; v <= y + slack; v++)
-          for (let u = x - slack; u <= x + slack; u++) if (this.#isInside(u, v)) return true;
-        return false;
-      });
+        const slack = n <= NEAR || steps - n <= NEAR ? NEAR + 1 : 1;
+        if (!this.#isAny(Math.floor(x), Math.floor(y), slack)) return false;
+      }
+      return true;
     });
+  }
+
+  /**
+   * Whether a pixel is inside, or one that is at most `slack` beside it along each axis.
+   * @type {(x: number, y: number, slack: number) => boolean}
+   */
+  #isAny(x, y, slack) {
+    if (this.#isInside(x, y)) return true;
+    for (let v = y - slack; v <= y + slack; v++)
+      for (let u = x - slack; u <= x + slack; u++) if (this.#isInside(u, v)) return true;
+    return false;
   }
 
   /**
@@ -135,7 +163,7 @@ export class Inside {
    */
   beside(handles) {
     return handles.flatMap(({ p }, index) =>
-      p.every((place) => this.placeFor(place) === place) && this.sees(p) ? [] : [index],
+      p.every((place) => this.placeFor(place, 0) === place) && this.sees(p) ? [] : [index],
     );
   }
 
@@ -163,7 +191,6 @@ export class Inside {
  *   original: Element,
  *   parts: Page.RegionPart[],
  *   feather: number,
- *   threshold: number,
  *   inside: Inside,
  * }} Known
  */
@@ -177,31 +204,47 @@ const kept = new WeakMap();
  * @param {Page.Document} document
  */
 export function insideOf(view, document) {
-  const { parts, feather } = regionOf(document);
+  const { parts, feather: soft } = regionOf(document);
   if (!isOutlined(document) || !view.size || !isDecoded(parts)) return null;
-  const threshold = thresholdOf(document);
+  // Without a region there is nothing that it softens.
+  const feather = parts.length ? soft : 0;
+  const least = 255 * thresholdOf(document);
   const original = inStage(view.stage, "original");
   const old = kept.get(view);
-  if (
-    old?.original === original &&
-    old.parts === parts &&
-    old.feather === feather &&
-    old.threshold === threshold
-  )
-    return old.inside;
-  const scale = Math.min(1, Math.sqrt(MOST / (view.size[0] * view.size[1])));
-  const canvas = globalThis.document.createElement("canvas");
-  const [width, height] = view.size.map((side) => Math.max(1, Math.round(side * scale)));
+  const isSame = old?.original === original && old.parts === parts && old.feather === feather;
+  if (isSame && old.inside.least === least) return old.inside;
+  const { alpha, width, scale } = isSame
+    ? old.inside
+    : alphaOf(original, { parts, feather }, view.size);
+  const inside = new Inside(alpha, width, scale, least);
+  kept.set(view, { original, parts, feather, inside });
+  return inside;
+}
+
+/**
+ * The alpha of a picture times that of its region.
+ * @param {HTMLImageElement} original
+ * @param {Page.Region} region
+ * @param {Page.Size} size
+ */
+function alphaOf(original, region, size) {
+  const scale = Math.min(1, Math.sqrt(MOST / (size[0] * size[1])));
+  const canvas = document.createElement("canvas");
+  // Rounded down: with one more pixel than some browsers permit, a canvas is blank.
+  const [width, height] = size.map((side) => Math.max(1, Math.floor(side * scale)));
   Object.assign(canvas, { width, height });
   const context = contextOf(canvas, { willReadFrequently: true });
   context.drawImage(original, 0, 0, width, height);
-  if (parts.length) {
+  if (region.parts.length) {
     context.globalCompositeOperation = "destination-in";
-    context.drawImage(maskOf({ parts, feather }, view.size, scale), 0, 0, width, height);
+    context.drawImage(maskOf(region, size, scale), 0, 0, width, height);
   }
-  const { data } = context.getImageData(0, 0, width, height);
-  const alpha = Uint8Array.from({ length: width * height }, (_, k) => data[4 * k + 3]);
-  const inside = new Inside(alpha, width, scale, 255 * threshold);
-  kept.set(view, { original, parts, feather, threshold, inside });
-  return inside;
+  const alpha = new Uint8Array(width * height);
+  // In bands: the whole would be four times as large once more.
+  const rows = Math.max(1, Math.floor(BAND / width));
+  for (let top = 0, k = 0; top < height; top += rows) {
+    const { data } = context.getImageData(0, top, width, Math.min(rows, height - top));
+    for (let from = 3; from < data.length; from += 4) alpha[k++] = data[from];
+  }
+  return { alpha, width, scale };
 }

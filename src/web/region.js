@@ -201,7 +201,7 @@ function whiteByLuma(image) {
   const pixels = context.getImageData(0, 0, width, height);
   for (let k = 0; k < pixels.data.length; k += 4) {
     pixels.data[k + 3] = pixels.data[k];
-    pixels.data.fill(255, k, k + 3);
+    pixels.data[k] = pixels.data[k + 1] = pixels.data[k + 2] = 255;
   }
   context.putImageData(pixels, 0, 0);
   return context.canvas;
@@ -245,7 +245,7 @@ function drawPart(context, part, [width, height]) {
  * @param {number} [scale]
  */
 export function maskOf({ parts, feather }, size, scale = 1) {
-  const context = canvasOf(...size.map((side) => Math.max(1, Math.round(side * scale))));
+  const context = canvasOf(...size.map((side) => Math.max(1, Math.floor(side * scale))));
   const { width, height } = context.canvas;
   context.scale(width / size[0], height / size[1]);
   prepare(context);
@@ -268,38 +268,56 @@ export function maskOf({ parts, feather }, size, scale = 1) {
 function blurAlpha({ data, width, height }, radius) {
   let [from, to] = [new Uint8ClampedArray(width * height), new Uint8ClampedArray(width * height)];
   for (let k = 0; k < from.length; k++) from[k] = data[4 * k + 3];
-  for (const [lines, length, next, step] of [
-    [height, width, width, 1],
-    [height, width, width, 1],
-    [width, height, 1, width],
-    [width, height, 1, width],
-  ]) {
-    for (let line = 0; line < lines; line++) meanLine(from, to, line * next, length, step, radius);
+  for (const mean of [meanAcross, meanAcross, meanDown, meanDown]) {
+    mean(from, to, width, radius);
     [from, to] = [to, from];
   }
   for (let k = 0; k < from.length; k++) {
+    data[4 * k] = data[4 * k + 1] = data[4 * k + 2] = 255;
     data[4 * k + 3] = from[k];
-    data.fill(255, 4 * k, 4 * k + 3);
   }
 }
 
 /**
- * The moving mean of a line; the line continues with its ends.
+ * The moving mean along the rows; a row continues with its ends.
  * @param {Uint8ClampedArray} from
  * @param {Uint8ClampedArray} to
- * @param {number} start
- * @param {number} length
- * @param {number} step
+ * @param {number} width
  * @param {number} radius
  */
-function meanLine(from, to, start, length, step, radius) {
-  /** @type {(k: number) => number} */
-  const at = (k) => from[start + step * Math.min(length - 1, Math.max(0, k))];
-  let sum = 0;
-  for (let k = -radius; k <= radius; k++) sum += at(k);
-  for (let k = 0; k < length; k++) {
-    to[start + step * k] = sum / (2 * radius + 1);
-    sum += at(k + radius + 1) - at(k - radius);
+function meanAcross(from, to, width, radius) {
+  for (let start = 0; start < from.length; start += width) {
+    const last = start + width - 1;
+    let sum = 0;
+    for (let k = start - radius; k <= start + radius; k++)
+      sum += from[Math.min(last, Math.max(start, k))];
+    for (let k = start; k <= last; k++) {
+      to[k] = sum / (2 * radius + 1);
+      sum += from[Math.min(last, k + radius + 1)] - from[Math.max(start, k - radius)];
+    }
+  }
+}
+
+/**
+ * The moving mean along the columns, all of them at once: memory is read row by row.
+ * @param {Uint8ClampedArray} from
+ * @param {Uint8ClampedArray} to
+ * @param {number} width
+ * @param {number} radius
+ */
+function meanDown(from, to, width, radius) {
+  const last = from.length - width;
+  /** @type {(row: number) => number} */
+  const at = (row) => Math.min(last, Math.max(0, row * width));
+  const sums = new Float64Array(width);
+  for (let row = -radius; row <= radius; row++)
+    for (let x = 0, k = at(row); x < width; x++, k++) sums[x] += from[k];
+  for (let row = 0; row * width <= last; row++) {
+    const [here, first, next] = [at(row), at(row - radius), at(row + radius + 1)];
+    for (let x = 0; x < width; x++) {
+      to[here + x] = sums[x] / (2 * radius + 1);
+      sums[x] += from[next + x] - from[first + x];
+    }
   }
 }
 

@@ -591,8 +591,8 @@ export class Sync {
     this.#refused = revision;
     const inside = problem.code === "outside_mask" ? insideOf(this.view, document) : null;
     if (inside) {
-      problem.beside = inside.beside(document.handles);
-      problem.canMoveInside = problem.beside.length > 0 && inside.moved(document.handles) !== null;
+      const { beside } = Object.assign(problem, { beside: inside.beside(document.handles) });
+      problem.findMove = () => beside.length > 0 && inside.moved(document.handles) !== null;
     }
     this.store.do("problem", { problem });
     this.#tell();

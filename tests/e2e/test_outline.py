@@ -122,6 +122,95 @@ def test_a_pin_far_from_the_outline_is_refused_with_a_sentence(visit, tmp_path):
     assert visit.body("[data-handles='6']").ready()["problem"] == ""
 
 
+def test_a_path_that_is_refused_stays_a_draft(visit, tmp_path):
+    """It may be many taps: undo takes back those that are wrong."""
+    stood(visit, tmp_path / "legs.png")
+    visit.page.click("#tool-path")
+    taps = [(40, 180), (60, 150), (80, 60), (200, 60), (150, 280)]
+    for place in taps:
+        visit.click(*place)
+    visit.page.click("#draft-finish")
+    toasted(visit, "put a handle on what the picture shows")
+    assert (visit["draft"], visit["handles"]) == ("5", "4")
+    visit.page.click("#undo")
+    visit.click(60, 200)
+    visit.page.click("#draft-finish")
+    toasted(visit, "draw a path along what the picture shows")
+    assert (visit["draft"], visit["handles"]) == ("5", "4")
+    visit.keys("Control+z")
+    assert visit["draft"] == "4"
+    visit.page.click("#draft-finish")
+    assert visit.body("[data-handles='5'][data-draft='0']").ready()["problem"] == ""
+    assert len(visit.warp()["p"][4]) == 4
+
+
+@pytest.mark.parametrize("size", [(5000, 4000), (4000, 5000), (6001, 4001), (4096, 4096)])
+def test_the_copy_has_no_more_pixels_than_any_canvas(visit, size):
+    """With one more than 2 ** 24, a canvas of some browsers is blank, and nothing is inside."""
+    pixels, wide = visit.page.evaluate(
+        """(size) => {
+          const { prototype } = CanvasRenderingContext2D;
+          const read = prototype.getImageData;
+          let most = 0;
+          prototype.getImageData = function (...box) {
+            most = Math.max(most, this.canvas.width * this.canvas.height);
+            return read.apply(this, box);
+          };
+          return import("/page/outline.js").then(({ insideOf }) => {
+            const original = Object.assign(document.createElement("canvas"), { id: "original" });
+            [original.width, original.height] = [50, 40];
+            original.getContext("2d").fillRect(25, 0, 25, 40);
+            const stage = document.createElement("div");
+            stage.append(original);
+            // With a region, whose mask is a canvas too.
+            const places = [[0, 0], [size[0], 0], [size[0], size[1]], [0, size[1]]];
+            const region = [{ kind: "lasso", removes: false, places }];
+            const own = { metric: "geodesic", method: "rigid", handles: [], region, feather: 8 };
+            const inside = insideOf({ stage, size }, own);
+            return [most, inside.placeFor([size[0] / 2 - 40, 30])[0] / size[0]];
+          });
+        }""",
+        size,
+    )
+    assert 2**24 * 0.999 < pixels <= 2**24 and abs(wide - 0.5) < 0.005, (pixels, wide)
+
+
+def test_the_nearest_place_is_the_nearest_one(visit):
+    """Of all pixels that are inside, from places within and beside a picture of odd sides."""
+    worst = visit.page.evaluate("""import("/page/outline.js").then(({ Inside }) => {
+      let seed = 1;
+      const random = () => (seed = (seed * 48271) % 2147483647) / 2147483647;
+      let worst = 0;
+      for (const [width, height, share, scale] of [
+        [131, 77, 0.0005, 1], [131, 77, 0.01, 0.5], [40, 203, 0.002, 1], [7, 5, 0.3, 1],
+        [64, 64, 0, 1],
+      ]) {
+        const alpha = Uint8Array.from({ length: width * height }, () => 255 * (random() < share));
+        const inside = new Inside(alpha, width, scale, 127);
+        for (let n = 0; n < 300; n++) {
+          const place = [width, height].map((side) => (side * (1.6 * random() - 0.3)) / scale);
+          const away = (u, v) => {
+            const [x, y] = place.map((c) => c * scale);
+            const [a, b] = [Math.max(0, u - x, x - u - 1), Math.max(0, v - y, y - v - 1)];
+            return Math.hypot(a, b) / scale;
+          };
+          let least = Infinity;
+          for (let k = 0; k < alpha.length; k++)
+            if (alpha[k]) least = Math.min(least, away(k % width, Math.floor(k / width)));
+          for (const reach of [Infinity, 20]) {
+            const found = inside.placeFor(place, reach);
+            const is = !found ? Infinity : found === place ? "same"
+              : away(...found.map((c) => Math.floor(c * scale)));
+            const should = least <= 3 ? "same" : least > reach ? Infinity : least;
+            if (is !== should) worst = Math.max(worst, Math.abs(is - should) || 1e9);
+          }
+        }
+      }
+      return worst;
+    })""")
+    assert worst < 1e-9, worst
+
+
 def lassos(visit):
     visit.page.click("label:has(#tool-lasso)")
     visit.drag((10, 10), (226, 10), (226, 295), (10, 295))
