@@ -11,6 +11,9 @@ const SHAPE = /^[A-Za-z0-9._~+/=-]{16,512}$/;
 /** @type {string | null} */
 let key = attempt(() => sessionStorage.getItem(NAME) ?? localStorage.getItem(NAME));
 
+/** Whether the server may know this key; an earlier visit of the page may have used a stored one. */
+let isKnown = key !== null;
+
 /**
  * The only session that the token is for.
  *
@@ -24,13 +27,20 @@ export const isRemembered = () => attempt(() => localStorage.getItem(NAME)) !== 
 /** @type {(text: string) => boolean} */
 export const looksLikeKey = (text) => SHAPE.test(text);
 
+/** Notes that the server has answered a request with this key. */
+export function acceptKey() {
+  isKnown = key !== null;
+}
+
 /**
- * Sets the key; null removes it. Whether another one was in its place.
+ * Sets the key; null removes it. Whether another one was in its place that had an account, as far
+ * as the page can know: one that the server has never accepted had none.
  * @param {string | null} text
  * @param {boolean} remember
  */
 export function useKey(text, remember) {
-  const isOther = key !== null && key !== text;
+  const isOther = isKnown && key !== text;
+  if (key !== text) isKnown = false;
   key = text;
   for (const { storage, keeps } of [
     { storage: () => sessionStorage, keeps: !remember },

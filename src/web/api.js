@@ -1,7 +1,7 @@
 // The HTTP client. Addresses are relative to the page, so that a proxy may serve both under any
 // path. Errors are thrown as a Problem: a problem document, or a missing response.
 
-import { keyHeaders, tokenSession } from "./access.js";
+import { acceptKey, keyHeaders, tokenSession } from "./access.js";
 import { boxFrom } from "./canvas.js";
 import { known } from "./dom.js";
 
@@ -148,6 +148,7 @@ async function ask(method, path, { json, file, accept, signal, media } = {}) {
     throw wasAborted(error) ? error : Problem.network();
   }
   if (!response.ok) throw await Problem.from(response);
+  acceptKey();
   return response;
 }
 
@@ -208,8 +209,10 @@ export function openSession(file, name, rest, { progress, signal }) {
       } catch {
         // Reported by its status below.
       }
-      if (request.status < 300 && answer) resolve(answer);
-      else
+      if (request.status < 300 && answer) {
+        acceptKey();
+        resolve(answer);
+      } else
         reject(
           answer?.code ? new Problem(answer, request.status) : Problem.ofStatus(request.status),
         );

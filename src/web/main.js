@@ -486,14 +486,16 @@ async function takeKey(key, remember) {
   const isOther = useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  if (key === null || !KEYS.has(problem?.code ?? "")) {
-    // A key that was refused had no account; any other one may be of somebody else.
-    const forgot = isOther && (await opener.forgetAnnotations());
-    const words = key === null ? "Key removed" : "Key saved in this browser";
-    return toast(forgot ? `${words}. Annotations are closed: they were of the other key` : words);
-  }
+  // The other key may be of somebody else, even if the server refuses it by now.
+  const forgot = isOther && (await opener.forgetAnnotations());
+  /** @type {(words: string) => void} */
+  const tell = (words) =>
+    toast(forgot ? `${words}. Annotations are closed: they were of the other key` : words);
+  if (key === null || !KEYS.has(problem?.code ?? ""))
+    return tell(key === null ? "Key removed" : "Key saved in this browser");
   await repeat(problem);
-  if (!store.state.problem) toast("The server accepts the key");
+  if (!store.state.problem) tell("The server accepts the key");
+  else if (forgot) tell("Another key");
 }
 /**
  * Repeats a request that was rejected without permission.

@@ -8,7 +8,7 @@ import { known } from "./dom.js";
 import { alphaOf, hasFocus, ownIn, restOf, sameRest } from "./edits.js";
 import { sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
-import { forgetFiles, keepFile, keptAnnotations, keptFile } from "./keep.js";
+import { forgetFiles, keepFile, kept, keptAnnotations, keptFile } from "./keep.js";
 import { NeedsPicture } from "./landmarks.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { readProject } from "./project.js";
@@ -55,6 +55,8 @@ export class Opener {
   #cancel = null;
   /** @type {(() => Promise<void>) | null} */
   #tried = null;
+  /** Whether what is being opened, or was refused, has to come without its annotations. */
+  #bare = false;
 
   /**
    * `told` is called when a file has been stored; `toast` shows a message for a short time.
@@ -100,17 +102,19 @@ export class Opener {
 
   /** Forgets the annotations of all pictures, stored ones too. Whether there were any. */
   async forgetAnnotations() {
+    this.#bare = true;
     const { annotations, waiting, earlier, later } = this.store.state;
-    const all = [
-      annotations,
-      waiting?.annotations,
-      ...[...earlier, ...later].map((p) => p.annotations),
-    ];
+    // What could not be restored is in the storage only.
+    const stored = kept();
+    const pictures = [stored, ...(stored?.earlier ?? []), ...(stored?.later ?? [])];
+    const all = [...pictures, ...earlier, ...later, this.store.state, waiting].map(
+      (one) => one?.annotations,
+    );
     if (!all.some(Boolean)) return false;
     /** @type {(picture: Page.Kept) => Page.Kept} */
     const bare = (picture) => (picture.picture ? { ...picture, annotations: null } : picture);
-    this.store.do("waiting", { annotations: null });
     this.store.do("annotations", { annotations: null });
+    this.store.do("waiting", { annotations: null });
     this.store.do("history", { earlier: earlier.map(bare), later: later.map(bare) });
     await forgetFiles(all.flatMap((one) => one?.key ?? []));
     return true;
@@ -354,10 +358,12 @@ export class Opener {
    * Opens something; after a failure the page is unchanged and shows the problem.
    * @param {string} name
    * @param {(signal: AbortSignal) => Promise<void>} open
+   * @param {boolean} [bare]
    */
-  async #attempt(name, open) {
+  async #attempt(name, open, bare = false) {
     this.cancel();
-    this.#tried = () => this.#attempt(name, open);
+    this.#bare = bare;
+    this.#tried = () => this.#attempt(name, open, this.#bare);
     const cancel = new AbortController();
     this.#cancel = cancel;
     this.store.do("uploading", { name });
@@ -441,7 +447,7 @@ export class Opener {
     this.store.do("opened", {
       picture: { ...picture, width, height, isCutout },
       document,
-      annotations,
+      annotations: this.#bare ? null : annotations,
       past,
       future,
       ...history(this.store.state, left),

@@ -4,10 +4,11 @@ away."""
 import base64
 import os
 import subprocess
+import time
 
 import pytest
 
-from support import BLUE, RED, SOCKET, Server, discs, near
+from support import BLUE, DEADLINE, RED, SOCKET, Server, discs, near
 
 KEY = "a-key-of-the-tests-0123456789"
 OTHER = "another-key-of-the-tests-98765"
@@ -130,6 +131,72 @@ def test_annotations_do_not_follow_into_the_account_of_another_key(
     visit.ready()
     assert visit["annotations"] == ""
     assert not [url for url, _ in asked if url.endswith("/points")]
+
+
+@pytest.mark.parametrize("way", ["changed", "reloaded", "stepped"])
+def test_nor_out_of_the_account_of_a_key_that_was_removed(visits, picture, tmp_path, way):
+    """The old key is refused by then, as one is that never had an account."""
+    keys = tmp_path / "keys"
+    keys.write_text(f"ann {KEY}\nbob {OTHER}\n")
+    server = Server("--keys-file", str(keys))
+    visit = visits(server)
+    visit.expects("401", "403", "404", SOCKET)
+    asked = []
+    visit.page.on("request", lambda request: asked.append(request.url))
+    visit.page.click("#help-open")
+    visit.page.click("#key-open")
+    give(visit, KEY)
+    cells = tmp_path / "cells.geojson"
+    cells.write_text('{"type": "Point", "coordinates": [50, 60]}')
+    visit.open(picture)
+    visit.page.set_input_files("#file", cells)
+    visit.body("[data-annotations=exact][data-kept=true]")
+    if way == "stepped":
+        visit.page.click("h1 a")
+        visit.body("[data-annotations='']")
+    new = tmp_path / "new"
+    new.write_text(f"bob {OTHER}\n")
+    new.rename(keys)
+    opened = visit.page.evaluate("() => JSON.parse(sessionStorage.mlswarp)")
+    session = opened.get("session") or opened["earlier"][0]["session"]
+    status = f"""fetch("sessions/{session}", {{ headers: {{ Authorization: "Bearer {KEY}" }} }})
+      .then((response) => response.status)"""
+    give_up = time.monotonic() + DEADLINE
+    while visit.page.evaluate(status) == 200:
+        assert time.monotonic() < give_up, "the file of keys is not read again"
+        time.sleep(0.1)
+    asked.clear()
+    if way == "reloaded":
+        visit.page.reload()
+    elif way == "stepped":
+        visit.page.click("#undo")
+    else:
+        visit.click(*RED)
+    visit.body(":is([data-problem=unauthorized], [data-problem=forbidden])")
+    visit.page.click("#problem-action")
+    give(visit, OTHER)
+    visit.page.wait_for_selector("#toast.seen:text-matches('Annotations are closed')")
+    visit.ready()
+    assert visit["annotations"] == "" and visit["problem"] == ""
+    assert "application/geo+json" not in visit.page.evaluate(MEDIA)
+    visit.click(*BLUE)
+    visit.ready()
+    assert not [url for url in asked if url.endswith("/points")]
+    server.stop()
+
+
+def test_annotations_wait_while_keys_are_refused(visits, locked, picture, tmp_path):
+    """A key that was never accepted had no account that they could be of."""
+    visit = visits(locked)
+    visit.expects("401", "403")
+    cells = tmp_path / "cells.geojson"
+    cells.write_text('{"type": "Point", "coordinates": [50, 60]}')
+    visit.page.set_input_files("#file", [cells, picture])
+    visit.body("[data-problem=unauthorized]")
+    for key in ("a-wrong-key-0123456789", OTHER):
+        visit.page.click("#problem-action")
+        give(visit, key)
+        visit.body("[data-problem=forbidden]" if key != OTHER else "[data-annotations=exact]")
 
 
 def test_the_key_lives_as_long_as_is_wished(visits, locked, picture):
