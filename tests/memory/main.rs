@@ -12,6 +12,7 @@ mod allocator;
 mod client;
 
 use std::fmt::Write as _;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use client::Client;
@@ -67,9 +68,7 @@ fn memory_of_a_drag_is_bounded_and_of_many_flat() {
         resized
             .write_to(&mut file, image::ImageFormat::Png)
             .unwrap();
-        let mut drags = Drags::open(Client::connect(address), file.get_ref(), (width, height));
-        // The buffers of the upload go with its connection.
-        drags.client = Client::connect(address);
+        let mut drags = Drags::open(address, file.get_ref(), (width, height));
         let picture = 4 * u64::from(width) * u64::from(height);
         // A thread keeps the buffers of its first picture: all threads draw before anything is
         // compared, the spare one too, which one client alone wakes only on a busy machine.
@@ -77,8 +76,7 @@ fn memory_of_a_drag_is_bounded_and_of_many_flat() {
             for _ in 0..4 {
                 scope.spawn(|| {
                     allocator::leave_this_thread_out();
-                    let client = Client::connect(address);
-                    Drags::open(client, file.get_ref(), (width, height)).run(few);
+                    Drags::open(address, file.get_ref(), (width, height)).run(few);
                 });
             }
         });
@@ -127,6 +125,7 @@ fn settled(app: &App) -> i64 {
 
 /// A session that is dragged.
 struct Drags {
+    address: SocketAddr,
     client: Client,
     path: String,
     body: String,
@@ -135,9 +134,10 @@ struct Drags {
 }
 
 impl Drags {
-    fn open(client: Client, file: &[u8], size: (u32, u32)) -> Self {
+    fn open(address: SocketAddr, file: &[u8], size: (u32, u32)) -> Self {
         let mut drags = Self {
-            client,
+            address,
+            client: Client::connect(address),
             path: String::new(),
             body: String::new(),
             size,
@@ -167,6 +167,9 @@ impl Drags {
     }
 
     fn run(&mut self, times: u32) {
+        // The buffers of the upload go with its connection, and on a busy machine the service has
+        // closed one that was idle since the last drags.
+        self.client = Client::connect(self.address);
         for _ in 0..times {
             self.step += 1;
             self.write_handles(0.02 * f64::from(self.step).sin());
