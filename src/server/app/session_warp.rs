@@ -1,6 +1,6 @@
 //! `POST /sessions/{id}/warp`: new positions of the handles, drawn; and what other requests about a
-//! session share with it. A request whose image, setup and plan are cached is of the class drag,
-//! others of the class upload.
+//! session share with it. A request whose image, setup, plan and order of drawing are there is of
+//! the class drag, others of the class upload.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -216,8 +216,8 @@ async fn admit_drawing(
     Ok((content, AdmittedPlan { ticket, planned }))
 }
 
-/// Admits a step of a drag: as a drag if everything that it uses is cached and the plan has a
-/// table, otherwise as an upload.
+/// Admits a step of a drag: as a drag if everything that it uses is cached, the order of drawing
+/// is known and the plan has a table, otherwise as an upload.
 pub(crate) async fn admit_step(
     app: &App,
     client: Client,
@@ -225,8 +225,11 @@ pub(crate) async fn admit_step(
     setup: &ResolvedRest,
     has_image: bool,
 ) -> Result<Ticket, Problem> {
-    let is_cached =
-        has_image && app.plans.touch(record.id.owner(), setup) && setup.plan_bytes().is_some();
+    // An order of drawing may weigh all handles at all vertices again.
+    let is_cached = has_image
+        && app.plans.touch(record.id.owner(), setup)
+        && setup.plan_bytes().is_some()
+        && setup.lacks_order().is_none();
     let class = if is_cached {
         WorkClass::Drag
     } else {
@@ -234,4 +237,76 @@ pub(crate) async fn admit_step(
     };
     let key = QueueKey::session(client, record.id);
     Ok(app.admission.pool.admit(class, key).await?)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use mlswarp::geometry::Point;
+    use mlswarp::warp::{Digest, RestSpec};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::pool::Cancel;
+    use crate::session::Revision;
+    use crate::wire::WarpObject;
+
+    fn record(client: Client, extent: Extent) -> Record {
+        let place = |k: i32| Point::new(f64::from(k) * 90.0 + 20.0, f64::from(k * k) * 50.0 + 20.0);
+        let base = WarpObject::default();
+        Record {
+            id: SessionId::random(client.owner),
+            revision: Revision::random(),
+            image: Digest::of(b"an image"),
+            layers: std::collections::BTreeMap::new(),
+            made_with_region: None,
+            extent,
+            rest: RestSpec {
+                p: (0..3).map(|k| Handle::Point(place(k))).collect(),
+                depth: Some(vec![0.0, 0.0, 1.0]),
+                ..RestSpec::default()
+            },
+            pose: None,
+            folds: base.folds,
+            output: base.output,
+            created: SystemTime::now(),
+        }
+    }
+
+    #[tokio::test]
+    async fn a_step_is_no_drag_until_the_order_of_drawing_is_known() {
+        let (app, client) = (App::new(Config::default()).unwrap(), Client::default());
+        let record = record(client, Extent::new(300, 300).unwrap());
+        let key = QueueKey::session(client, record.id);
+        let upload = app.admission.upload(key).await.unwrap();
+        let [one, other] = [(); 2].map(|()| {
+            let (plans, record) = (Arc::clone(&app.plans), record.clone());
+            upload.run(move |cancel: &Cancel| {
+                plans.new_setup(&record.rest, record.extent, None, cancel)
+            })
+        });
+        let (one, other) = tokio::join!(one, other);
+        let [one, other] = [one, other].map(|setup| Arc::new(setup.unwrap().unwrap()));
+        app.plans
+            .plan(client, &upload, &one, Timing::default())
+            .await
+            .unwrap();
+        drop(upload);
+        // The plan is that of both.
+        assert!(app.plans.touch(client.owner, &other));
+        for (setup, has_image, class) in [
+            (&one, true, WorkClass::Drag),
+            (&one, false, WorkClass::Upload),
+            (&other, true, WorkClass::Upload),
+        ] {
+            // A computation gives its turn back by itself.
+            while app.pool().running() > 0 {
+                tokio::task::yield_now().await;
+            }
+            let ticket = admit_step(&app, client, &record, setup, has_image).await;
+            assert_eq!(app.pool().load(class).running, 1);
+            drop(ticket.unwrap());
+        }
+    }
 }
