@@ -106,6 +106,26 @@ impl ImageSum {
         }
     }
 
+    /// Makes the copies of an image (packed, reduced) for which [`ImageSum::add`] otherwise takes
+    /// the time. They are kept, and other drawings of the image wait while they are made.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn make_copies(
+        &self,
+        image: &Image,
+        posed: &PosedMesh,
+        (weight, mirrored_in): (f64, Option<u32>),
+        output: &OutputSpec,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(), WarpError> {
+        if weight == 0.0 {
+            return Ok(());
+        }
+        let target = self.target_of(mirrored_in);
+        RasterSource::Image(image).make_copies(target, posed, output, cancelled)
+    }
+
     /// Adds an image, posed by its mesh, with a weight. `mirrored_in`: the mesh is that of the
     /// mirrored target in a frame of this width, px, and what is drawn is mirrored; so an image and
     /// its mirror image differ by nothing but the side. An image of weight 0 adds nothing but the

@@ -10,7 +10,10 @@ use crate::deform::{Class, Handle, fitted};
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::Canvas;
-use crate::warp::{Align, Folds, Image, Limits, OutputSpec, PosedMesh, ResolvedRest, RestSpec};
+use crate::warp::{
+    Align, Folds, Image, Limits, OutputSpec, PosedMesh, RasterSource, ResolvedRest, RestSpec,
+    Target, WarpError,
+};
 
 /// Random numbers, the same on every run.
 struct Numbers(u64);
@@ -538,4 +541,33 @@ fn pairs_are_found_by_name_by_position_or_given() {
         line[0].x < line[2].x,
         "the mouth still runs from left to right"
     );
+}
+
+#[test]
+fn copies_are_made_before_an_image_is_added() {
+    // Half as wide and high: the image is reduced.
+    let (whole, half) = (Extent::new(61, 47).unwrap(), Extent::new(30, 23).unwrap());
+    for mirrored_in in [None, Some(whole.width())] {
+        let image = picture(3, Channels::Rgb, Depth::Eight);
+        let (mesh, output) = (posed(&image, &face(), &face()), OutputSpec::default());
+        let mut sum = ImageSum::new(Canvas::of(whole), half, BlendSpace::Srgb, &[0.0, 1.0]);
+        let target = Target::of(Some(Canvas::of(whole)), half);
+        let lacks = || RasterSource::Image(&image).lacks_copies(target, &mesh, &output);
+        let make = |sum: &ImageSum, weight: f64, is_gone: bool| {
+            sum.make_copies(&image, &mesh, (weight, mirrored_in), &output, &|| is_gone)
+        };
+        assert_eq!(make(&sum, 1.0, true), Err(WarpError::Cancelled));
+        make(&sum, 0.0, false).unwrap();
+        assert!(lacks());
+        make(&sum, 1.0, false).unwrap();
+        let asked = std::sync::atomic::AtomicBool::new(false);
+        let is_cancelled = || {
+            asked.store(true, std::sync::atomic::Ordering::Relaxed);
+            assert!(!lacks(), "nobody waits for what gives way");
+            false
+        };
+        let how = (1.0, mirrored_in);
+        sum.add(&image, &mesh, how, &output, &is_cancelled).unwrap();
+        assert!(asked.into_inner());
+    }
 }

@@ -271,8 +271,10 @@ impl BlendJob {
                 let pose = setup.pose(&q)?;
                 let (plan, folds) = (&planned.plan, Folds::Report);
                 let posed = PosedMesh::new(&setup, plan, &pose, folds, &is_cancelled)?;
-                let how = (weight, pairs.map(|_| frame));
-                sum.add(image, &posed, how, &job.object.output, &is_cancelled)?;
+                let (how, output) = ((weight, pairs.map(|_| frame)), &job.object.output);
+                // Drags of the same image may wait for its copies: no giving way meanwhile.
+                sum.make_copies(image, &posed, how, output, &|| cancel.is_gone())?;
+                sum.add(image, &posed, how, output, &is_cancelled)?;
                 Ok::<_, WarpError>((posed, sum))
             })?;
             let report = posed.report();
