@@ -114,13 +114,13 @@ impl Plans {
         };
         // It shares most of its memory with the other one, and may outlive it. If both do not fit,
         // the other one must be free to go.
-        let Ok(mut held) = self.admission.reserve(MemoryClass::Plan, setup.bytes()) else {
+        let shared = setup.bytes().saturating_sub(setup.order_bytes());
+        let Ok(mut held) = self.admission.reserve(MemoryClass::Plan, shared) else {
             return Ok(None);
         };
-        let setup = setup.with_depth(rest)?;
-        self.admission
-            .reserve_more(&mut held, setup.order_bytes())?;
-        Ok(Some(CacheEntry::new(setup, held)))
+        let with = setup.with_depth(rest)?;
+        let has_room = self.admission.reserve_more(&mut held, with.order_bytes());
+        Ok(has_room.is_ok().then(|| CacheEntry::new(with, held)))
     }
 
     /// The resolved setup of a session.
@@ -373,9 +373,12 @@ mod tests {
             created: SystemTime::now(),
         };
         app.plans.keep_setup(client, &record, &setup);
+        let (bytes, of_order) = (setup.bytes(), setup.order_bytes());
         drop(setup);
         let with = |depth: f64| app.plans.with_depth(&rest(depth), &record).unwrap();
-        assert!(with(2.0).is_some());
+        // The order of the old one is not that of the new one, which has none without depths.
+        assert_eq!(with(2.0).unwrap().bytes(), bytes);
+        assert_eq!(with(0.0).unwrap().bytes(), bytes - of_order);
         // Handles that differ otherwise hold nothing.
         let mut other = rest(2.0);
         other.p.pop();
@@ -384,6 +387,9 @@ mod tests {
         let mut taken = app.budget().take(MemoryClass::Plan, 0).unwrap();
         while taken.grow(256).is_ok() {}
         assert!(with(3.0).is_none());
+        // There is room for what both share, but not for the order.
+        taken.shrink_to(taken.bytes() - (bytes - of_order));
+        assert!(of_order > 256 && with(0.0).is_some() && with(3.0).is_none());
         assert!(app.plans.setups.is_any_idle());
         assert!(app.admission.evict_idle() && !app.plans.setups.is_any_idle());
     }
