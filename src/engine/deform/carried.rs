@@ -14,6 +14,10 @@ use crate::parallel::prelude::*;
 const BLOCKS_PER_TASK: usize = 8;
 /// Vertices whose positions are in memory at once, where they are needed.
 const VERTICES_PER_PART: usize = 1 << 16;
+/// Memory of each of these: its position, and three f32 twice, in blocks and in a row.
+const PLACED_BYTES: u64 = 48;
+/// Memory of a vertex of the mesh of a method: some displacements in f64, and the drawn one.
+const SOLVED_BYTES: u64 = 72;
 
 impl RestDeformation {
     /// The number of each column as a share of the range of all, from one for each of the client's
@@ -42,6 +46,19 @@ impl RestDeformation {
                 means.into_iter().map(|mean| mean.x).collect()
             }
         })
+    }
+
+    /// The most memory while numbers are carried to this number of vertices, beyond the carried
+    /// numbers and what depends on the columns alone, bytes.
+    #[must_use]
+    pub(crate) fn carrying_bytes(&self, vertices: u64) -> u64 {
+        if self.map.mesh().is_some() {
+            vertices.saturating_mul(SOLVED_BYTES)
+        } else if self.map.has_weights() {
+            0
+        } else {
+            vertices.min(VERTICES_PER_PART as u64) * PLACED_BYTES
+        }
     }
 
     /// The numbers of the columns, carried to vertices. `vertex(k)`: where one is, and the pixel

@@ -11,6 +11,8 @@ const CELLS_PER_LOOK: usize = 1 << 16;
 /// The digits by which steps are sorted, and their bits.
 const DIGITS: u32 = 2;
 const DIGIT_BITS: u32 = u32::BITS / DIGITS;
+/// The number of values of a digit.
+const VALUES: usize = 1 << DIGIT_BITS;
 
 /// An order of the cells of a grid, or of the quads of a cut grid, other than row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,9 +118,11 @@ impl DrawingOrder {
     pub const fn peak_bytes_for(vertices: u64, cells: u64) -> u64 {
         let keys = cells.saturating_mul(size_of::<u32>() as u64);
         let depths = vertices.saturating_mul(size_of::<f32>() as u64);
+        let next = size_of::<usize>() as u64 * VALUES as u64;
         Self::bytes_for(cells)
             .saturating_add(keys)
             .saturating_add(depths)
+            .saturating_add(next)
     }
 }
 
@@ -144,10 +148,10 @@ fn sort_by_digit(
 ) -> Option<()> {
     let value = |cell: u32| {
         let value = keys[cell as usize] >> (digit * DIGIT_BITS);
-        (value & ((1 << DIGIT_BITS) - 1)) as usize
+        value as usize & (VALUES - 1)
     };
     // How many cells have each value; then where the next of them belongs.
-    let mut next = vec![0_usize; 1 << DIGIT_BITS];
+    let mut next = vec![0_usize; VALUES];
     for cells in cells.chunks(CELLS_PER_LOOK) {
         if cancelled() {
             return None;

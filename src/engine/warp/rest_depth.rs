@@ -105,7 +105,9 @@ impl ResolvedRest {
     /// The most memory while [`ResolvedRest::order`] computes, bytes.
     #[must_use]
     pub fn order_peak_bytes(&self) -> u64 {
-        DrawingOrder::peak_bytes_for(self.posed_vertices(), self.ordered_cells())
+        let vertices = self.posed_vertices();
+        DrawingOrder::peak_bytes_for(vertices, self.ordered_cells())
+            .saturating_add(self.field().carrying_bytes(vertices))
     }
 
     fn ordered_cells(&self) -> u64 {

@@ -346,6 +346,13 @@ fn an_order_that_nobody_waits_for_is_given_up_and_its_work_is_estimated() {
                 ResolvedRest::new(rest, extent, &limits, &|| false)
             };
             let setup = new(&with, u64::MAX).unwrap();
+            // What every sort needs, and what is carried without weights.
+            let vertices = setup.grid().len() as u64;
+            let least = match method {
+                Method::ThinPlateSpline => (512 << 10) + 48 * vertices.min(1 << 16),
+                _ => 512 << 10,
+            };
+            assert!(setup.order_peak_bytes() > least, "{method:?} {is_cut}");
             let plan = setup.plan(&|| false).unwrap();
             let given_up = setup.order(&plan, &|| true).unwrap_err();
             assert_eq!(given_up, WarpError::Cancelled, "{method:?} {is_cut}");
