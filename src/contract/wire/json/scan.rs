@@ -52,6 +52,18 @@ fn length(text: &[u8], work: Option<&Work<'_>>) -> usize {
     before
 }
 
+/// Whether a byte neither begins nor ends anything, wherever it stands.
+const IS_PLAIN: [bool; 256] = {
+    let mut is_plain = [true; 256];
+    let marks = b"\"\\[]{}, \t\n\r";
+    let mut k = 0;
+    while k < marks.len() {
+        is_plain[marks[k] as usize] = false;
+        k += 1;
+    }
+    is_plain
+};
+
 /// What is known of a value after some pieces of its text.
 #[derive(Default)]
 struct Scan {
@@ -64,6 +76,11 @@ impl Scan {
     /// The bytes of the next piece that belong to the value, if it ends there.
     fn end(&mut self, piece: &[u8]) -> Option<usize> {
         for (at, byte) in piece.iter().enumerate() {
+            // Most bytes are digits and letters: one look each.
+            if IS_PLAIN[usize::from(*byte)] {
+                self.is_escaped = false;
+                continue;
+            }
             match byte {
                 _ if self.is_escaped => self.is_escaped = false,
                 b'"' => {
