@@ -1,13 +1,16 @@
 """A cut-out on a phone, from the file to a project that another phone opens, by touch alone."""
 
 import io
+import os
 
 import pytest
 from PIL import Image
 
 from support import Fingers, near
 
-SIZES = {"portrait": (390, 844), "landscape": (844, 390), "small": (360, 640), "large": (430, 932)}
+SIZES = {"small": (360, 640), "landscape": (844, 390), "portrait": (390, 844), "large": (430, 932)}
+# The narrowest and the lowest; the others in the long form.
+TRIED = list(SIZES)[: None if os.environ.get("MLSWARP_TESTS_FULL") == "1" else 2]
 
 # Words that are cut off, and controls that are not in the window as a whole.
 CUT = """() => [...document.querySelectorAll(
@@ -44,7 +47,7 @@ def horse(visits, server, tmp_path):
     return tmp_path / "horse.png"
 
 
-@pytest.mark.parametrize("way", SIZES)
+@pytest.mark.parametrize("way", TRIED)
 def test_a_cut_out_is_bent_and_shared_by_touch(visits, horse, tmp_path, way):
     visit = phone(visits, way)
     fingers, page = Fingers(visit), visit.page
