@@ -45,7 +45,7 @@ impl Credential {
             .map(|key| key.digest)
     }
 
-    /// The credential of whoever has a token that was made with this key.
+    /// The credential of a client with a token that was made with this key.
     pub(super) const fn limited_to(self, grant: Grant) -> Self {
         Self {
             grant: Some(grant),
@@ -149,7 +149,7 @@ impl Keys {
     }
 
     /// The credential of the owner's key for whose digest `is_it` is true. It is not looked up in
-    /// constant time: whoever asks has shown a signature.
+    /// constant time: the client has shown a signature.
     pub(super) fn find(
         &self,
         owner: Owner,

@@ -337,7 +337,7 @@ impl RedisStoreState {
             .readable(id, &bytes)?
             .ok_or(StoreError::NoSuchSession)?;
         // A number of this process counts only within the same life of the session: one that was
-        // made again begins anew.
+        // made again starts from 0.
         let here = cached
             .filter(|cached| cached.record.created == record.created)
             .and_then(|cached| cached.progress().seq);
