@@ -67,7 +67,7 @@ impl Blend {
         }
         // An object without images was refused.
         let first = added[0].extent();
-        let aligned = AlignedShapes::new(&object, shapes, first.width())?;
+        let aligned = AlignedShapes::new(&object, shapes, first.width(), &|| false)?;
         let (canvas, target) = object.target(first, &limits)?;
         for image in &added {
             RasterSource::Image(image).check(&object.output)?;

@@ -187,6 +187,11 @@ async fn what_does_not_fit_together_is_refused_with_its_place() {
             "bad_value",
             "/images/1/colour",
         ),
+        (
+            two(json!({"shape": -1e300})),
+            "bad_value",
+            "/images/1/shape",
+        ),
         (two(json!({"session": "x"})), "bad_value", "/images/1"),
         (two(json!({"item": "x"})), "bad_value", "/images/1/item"),
         (

@@ -320,6 +320,12 @@ fn two_portraits_become_others() {
             assert!(most.is_some_and(|most| most <= 20), "{name}: {frame}");
         }
     }
+    // Of a closed mouth too, the halves are found by position; one file has both entries' landmarks.
+    let (symmetric, mirror) = (
+        scratch.path("symmetric.png"),
+        r#"{"images": [{"image": 0}, {"image": 1, "mirror": true}]}"#,
+    );
+    done(&["blend", &first, &first, "-", "-o", &symmetric], mirror);
     let mut archive = zip::ZipArchive::new(fs::File::open(scratch.path("morph.zip")).unwrap());
     let mut start = Vec::new();
     let archive = archive.as_mut().unwrap();

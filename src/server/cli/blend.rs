@@ -237,13 +237,14 @@ impl<'a> BlendInputs<'a> {
         Some((index, self.images.get(index)?))
     }
 
-    /// Where one landmark file is that of several images, it has an item for each, which has the
-    /// name of the image file. Returns whether any was named.
+    /// Where one landmark file is that of several different images, it has an item for each, which
+    /// has the name of the image file. Returns whether any was named.
     fn name_items(&mut self) -> bool {
         let [first, others @ ..] = &self.landmarks[..] else {
             return false;
         };
-        if others.is_empty() || others.iter().any(|file| file != first) {
+        let is_one_image = self.images.iter().all(|image| *image == self.images[0]);
+        if is_one_image || others.iter().any(|file| file != first) {
             return false;
         }
         let name =

@@ -2,9 +2,10 @@
 
 use std::collections::HashMap;
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::blend::{BlendedShape, MirrorPairs, ShapeError};
+use mlswarp::warp::WarpError;
+use mlswarp::warp::blend::{BlendedShape, MirrorPairs, NoPairs, ShapeError};
 
 use super::super::enum_name::Matching;
 use super::super::landmarks::Landmarks;
@@ -25,11 +26,12 @@ pub struct AlignedShapes {
 impl AlignedShapes {
     /// Matches the landmarks, aligns them, and mirrors those of mirrored images about the middle of
     /// the reference frame. `width`: of the first image, px. Errors: landmarks that do not go
-    /// together.
+    /// together; cancelled.
     pub fn new(
         object: &BlendObject,
         mut shapes: Vec<NamedShape>,
         width: u32,
+        cancelled: IsCancelled<'_>,
     ) -> Result<Self, Problem> {
         match_shapes(&mut shapes, object.matching)?;
         let kept = common_handles(&mut shapes);
@@ -37,7 +39,7 @@ impl AlignedShapes {
         let pairs = pairs.map(|(index, (entry, shape))| {
             entry
                 .is_mirrored
-                .then(|| mirror_pairs(entry, index, shape, kept.as_deref()))
+                .then(|| mirror_pairs(entry, index, shape, kept.as_deref(), cancelled))
                 .transpose()
         });
         let pairs = pairs.collect::<Result<Vec<_>, _>>()?;
@@ -143,6 +145,7 @@ fn mirror_pairs(
     index: usize,
     shape: &NamedShape,
     kept: Option<&[usize]>,
+    cancelled: IsCancelled<'_>,
 ) -> Result<MirrorPairs, Problem> {
     let by_name = || {
         let names = shape.names.as_ref()?;
@@ -159,10 +162,14 @@ fn mirror_pairs(
     });
     let found = match &given {
         Some(pairs) => MirrorPairs::of_permutation(pairs, &shape.p),
-        None => by_name().map_or_else(|| MirrorPairs::of_positions(&shape.p), Ok),
+        None => by_name().map_or_else(|| MirrorPairs::of_positions(&shape.p, cancelled), Ok),
     };
-    found.map_err(|error| {
-        Problem::new(Code::BadValue, error.to_string()).pointer(format!("/images/{index}/pairs"))
+    found.map_err(|error| match error {
+        NoPairs::Cancelled => WarpError::Cancelled.into(),
+        NoPairs::Count { .. } | NoPairs::NoPair { .. } | NoPairs::TooMany { .. } => {
+            Problem::new(Code::BadValue, error.to_string())
+                .pointer(format!("/images/{index}/pairs"))
+        }
     })
 }
 

@@ -52,6 +52,8 @@ pub struct ImageSum {
     is_grey: bool,
     has_alpha: bool,
     digest: Collector,
+    /// The values of the samples of this depth, for all images that have it.
+    curve: Option<(Depth, Vec<f32>)>,
     /// From the first image.
     inherited: Option<Inherited>,
 }
@@ -102,6 +104,7 @@ impl ImageSum {
             is_grey: true,
             has_alpha: false,
             digest,
+            curve: None,
             inherited: None,
         }
     }
@@ -159,8 +162,12 @@ impl ImageSum {
         let drawer = source.drawer(target, posed, output);
         let (width, depth) = (self.target.extent.width() as usize, source.depth());
         let pixel_bytes = drawer.pixel_bytes();
-        let channels = pixel_bytes / depth.bytes();
-        let curve = decoding_curve(self.space, depth);
+        let line_bytes = width * pixel_bytes;
+        self.curve.take_if(|(of, _)| *of != depth);
+        let curve = self
+            .curve
+            .get_or_insert_with(|| (depth, decoding_curve(self.space, depth)));
+        let (read, curve) = (line_reader(depth, pixel_bytes), &*curve.1);
         #[expect(
             clippy::cast_possible_truncation,
             reason = "sums are in single precision"
@@ -177,14 +184,16 @@ impl ImageSum {
             let rows = rows_of(band, pixels.len() / width);
             let mut samples = vec![0; pixels.len() * pixel_bytes];
             drawer.band(rows, &mut samples, cancelled);
-            let lines = samples.chunks_exact(width * pixel_bytes);
-            for (sums, line) in pixels.chunks_exact_mut(width).zip(lines) {
-                for (x, sum) in sums.iter_mut().enumerate() {
-                    let at = if is_mirrored { width - 1 - x } else { x };
-                    let pixel = &line[at * pixel_bytes..][..pixel_bytes];
-                    let (colour, alpha) = read(pixel, depth, channels, &curve);
-                    rule.add(sum, colour, alpha, weight);
+            let mut line = vec![[0.0; 4]; width];
+            for (sums, bytes) in pixels
+                .chunks_exact_mut(width)
+                .zip(samples.chunks_exact(line_bytes))
+            {
+                read(bytes, curve, &mut line);
+                if is_mirrored {
+                    line.reverse();
                 }
+                rule.add(sums, &line, weight);
             }
         });
         if cancelled() {
@@ -292,20 +301,26 @@ impl ImageSum {
 const ALPHA_ROUNDING: f32 = 1e-5;
 
 impl Rule {
-    fn add(self, sum: &mut [f32; 4], colour: [f32; 3], alpha: f32, weight: f32) {
+    /// Adds colours with alpha to their sums.
+    fn add(self, sums: &mut [[f32; 4]], line: &[[f32; 4]], weight: f32) {
+        let pixels = sums.iter_mut().zip(line);
         match self {
             Self::Coverage => {
-                let share = weight * alpha;
-                for (sum, value) in sum.iter_mut().zip(colour) {
-                    *sum += share * value;
+                for (sum, [r, g, b, alpha]) in pixels {
+                    let share = weight * alpha;
+                    for (sum, value) in sum.iter_mut().zip([*r, *g, *b, 1.0]) {
+                        *sum += share * value;
+                    }
                 }
-                sum[3] += share;
             }
             Self::Difference => {
-                for (sum, value) in sum.iter_mut().zip(colour) {
-                    *sum += weight * value;
+                for (sum, [r, g, b, alpha]) in pixels {
+                    let least = sum[3].min(*alpha);
+                    for (sum, value) in sum.iter_mut().zip([r, g, b]) {
+                        *sum += weight * value;
+                    }
+                    sum[3] = least;
                 }
-                sum[3] = sum[3].min(alpha);
             }
         }
     }
@@ -316,21 +331,38 @@ fn rows_of(band: usize, rows: usize) -> Range<u32> {
     row(band * ROWS_PER_CHECK)..row(band * ROWS_PER_CHECK + rows)
 }
 
-/// The colour of a pixel, 0 to 1 in the space of the curve, and its alpha, 0 to 1. Samples of 16
-/// bits are big-endian.
-fn read(pixel: &[u8], depth: Depth, channels: usize, curve: &[f32]) -> ([f32; 3], f32) {
-    let sample = |index: usize| match depth {
-        Depth::Eight => usize::from(pixel[index]),
-        Depth::Sixteen => usize::from(u16::from_be_bytes([pixel[2 * index], pixel[2 * index + 1]])),
+/// One loop for each kind of pixel, which asks nothing of it.
+fn line_reader(depth: Depth, pixel_bytes: usize) -> fn(&[u8], &[f32], &mut [[f32; 4]]) {
+    match (depth, pixel_bytes) {
+        (Depth::Eight, 3) => read_line::<1, 3>,
+        (Depth::Eight, _) => read_line::<1, 4>,
+        (Depth::Sixteen, 6) => read_line::<2, 6>,
+        (Depth::Sixteen, _) => read_line::<2, 8>,
+    }
+}
+
+/// Reads drawn pixels: their colours, 0 to 1 in the space of the curve, and their alpha, 0 to 1.
+/// Samples of 16 bits are big-endian.
+fn read_line<const SAMPLE: usize, const PIXEL: usize>(
+    bytes: &[u8],
+    curve: &[f32],
+    line: &mut [[f32; 4]],
+) {
+    let largest: u16 = if SAMPLE == 1 { 255 } else { u16::MAX };
+    let sample = |pixel: &[u8; PIXEL], index: usize| match SAMPLE {
+        1 => u16::from(pixel[index]),
+        _ => u16::from_be_bytes([pixel[2 * index], pixel[2 * index + 1]]),
     };
-    let colour = [0, 1, 2].map(|index| curve[sample(index)]);
-    #[expect(clippy::cast_precision_loss, reason = "16 bits")]
-    let alpha = if channels == 4 {
-        sample(3) as f32 / f32::from(depth.largest())
-    } else {
-        1.0
-    };
-    (colour, alpha)
+    let curve = &curve[..=largest.into()];
+    for (pixel, value) in bytes.as_chunks::<PIXEL>().0.iter().zip(line) {
+        let [r, g, b] = [0, 1, 2].map(|index| curve[usize::from(sample(pixel, index))]);
+        let alpha = if PIXEL == 4 * SAMPLE {
+            f32::from(sample(pixel, 3)) / f32::from(largest)
+        } else {
+            1.0
+        };
+        *value = [r, g, b, alpha];
+    }
 }
 
 /// The value of each sample.

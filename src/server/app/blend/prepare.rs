@@ -62,7 +62,7 @@ pub(super) async fn prepare(
         let read = read_images(&of_job, client, &upload, &object, records, cancel)?;
         let (mut images, named): (Vec<SourceImage>, Vec<_>) = read.into_iter().unzip();
         let first = images[0].extent;
-        let shapes = AlignedShapes::new(&object, named, first.width())?;
+        let shapes = AlignedShapes::new(&object, named, first.width(), &|| cancel.is_cancelled())?;
         let matched = shapes.p.into_iter().zip(shapes.pairs);
         for (image, (p, pairs)) in images.iter_mut().zip(matched) {
             (image.p, image.pairs) = (p, pairs);
