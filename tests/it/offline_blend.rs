@@ -320,7 +320,7 @@ fn two_portraits_become_others() {
             assert!(most.is_some_and(|most| most <= 20), "{name}: {frame}");
         }
     }
-    // Of a closed mouth too, the halves are found by position; one file has both entries' landmarks.
+    // The halves of a closed mouth are found by position; one file has the landmarks of both.
     let (symmetric, mirror) = (
         scratch.path("symmetric.png"),
         r#"{"images": [{"image": 0}, {"image": 1, "mirror": true}]}"#,
