@@ -183,7 +183,7 @@ fn annotations(report: &mut Report) {
         contender("its inverse", || {
             black_box(
                 setup
-                    .inverse(&pose, posed.mesh())
+                    .inverse(&pose, &posed)
                     .map(black_box(&there), &|| false)
                     .expect("in range"),
             );

@@ -162,7 +162,7 @@ fn labels_follow_the_inverse_of_the_pixel_centre() {
         };
         let places: Vec<Point> = pixels.iter().flat_map(around).collect();
         let sources = setup
-            .inverse(&pose, posed.mesh())
+            .inverse(&pose, &posed)
             .map(&places, &|| false)
             .unwrap();
         for ((x, y), sources) in pixels.iter().zip(sources.chunks_exact(9)) {

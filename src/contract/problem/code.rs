@@ -70,6 +70,7 @@ codes! {
     TooManyVertices = 422, "too_many_vertices", "Too many vertices";
     NoTable = 422, "no_table", "No table of coefficients";
     Folded = 422, "folded", "The warp folds";
+    Unreachable = 422, "unreachable", "No map without folds";
     UpgradeRequired = 426, "upgrade_required", "Upgrade required";
     RateLimited = 429, "rate_limited", "Rate limited";
     Internal = 500, "internal", "Internal error";

@@ -50,6 +50,7 @@ impl From<WarpError> for Problem {
                     Task::System(_) => problem.pointer("/p"),
                     Task::Grid | Task::Quality => problem.pointer("/grid"),
                     Task::Comparison => problem.pointer("/candidates"),
+                    Task::Folds => problem.pointer("/folds"),
                     Task::Positions | Task::Outlines | Task::Survey => problem,
                 }
             }
@@ -87,6 +88,15 @@ impl From<WarpError> for Problem {
             WarpError::Folded { cells } => Self::new(Code::Folded, detail)
                 .pointer("/folds")
                 .actual(cells),
+            WarpError::NotUnfolded => Self::new(Code::NotSupported, detail).pointer("/folds"),
+            WarpError::Unreachable { handles } => {
+                let problem = Self::new(Code::Unreachable, detail).pointer("/q");
+                match *handles {
+                    [handle] => problem.pointer(format!("/q/{handle}")).handle(handle),
+                    _ => problem,
+                }
+                .extra("handles", handles)
+            }
             WarpError::NothingVisible => {
                 Self::new(Code::NothingVisible, detail).pointer("/output/canvas")
             }

@@ -104,6 +104,7 @@ fn advice(task: Task) -> String {
         }
         Task::Comparison => "send fewer candidates in a request, or fewer points",
         Task::Quality => "send a coarser `grid`",
+        Task::Folds => "send fewer handles, a coarser `grid`, or `\"folds\": \"report\"`",
         Task::Survey => {
             "send fewer frames in a request, fewer handles, or an opaque `output.outside`"
         }
@@ -151,6 +152,15 @@ pub(super) fn of_warp(error: &WarpError) -> String {
         ),
         WarpError::OutsideOfLabels => {
             "outside, labels are 0: `outside` with a value does not apply to them".to_owned()
+        }
+        WarpError::NotUnfolded => {
+            "`folds` can be `remove` with the methods `rigid`, `similarity`, \
+            `affine`, and `tps` without `smoothing`, and with the metric `euclidean`; use `report` \
+            or `reject` here"
+                .to_owned()
+        }
+        WarpError::Unreachable { .. } => {
+            format!("{error}; move them otherwise, or send `\"folds\": \"report\"`")
         }
         WarpError::NothingVisible => {
             "the posed picture has no area, so the canvas `fit` would be empty".to_owned()

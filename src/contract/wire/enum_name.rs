@@ -160,9 +160,10 @@ enum_names!(
 );
 enum_names!(
     Folds,
-    unsupported["remove"],
+    unsupported [],
     Folds::Report = "report",
-    Folds::Reject = "reject"
+    Folds::Reject = "reject",
+    Folds::Remove = "remove"
 );
 enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none",

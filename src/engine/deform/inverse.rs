@@ -37,7 +37,8 @@ const BORDER_ERROR_PX: f64 = 1e-6;
 /// The inverse of one pose.
 #[derive(Debug)]
 pub struct Inverse<'a> {
-    f: PosedMap<'a>,
+    /// None where the patches of the mesh are the map itself.
+    f: Option<PosedMap<'a>>,
     mesh: &'a Mesh,
     tree: CellTree,
     most_cells: usize,
@@ -107,8 +108,18 @@ impl<'a> Inverse<'a> {
     /// `CELL_MARGIN_PX`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a RestDeformation, pose: &'a Pose, mesh: &'a Mesh) -> Self {
+        let f = field.deformation(pose);
         Self {
-            f: field.deformation(pose),
+            f: Some(f),
+            ..Self::of_mesh(mesh)
+        }
+    }
+
+    /// The inverse of a map that is what a mesh draws.
+    #[must_use]
+    pub fn of_mesh(mesh: &'a Mesh) -> Self {
+        Self {
+            f: None,
             mesh,
             tree: CellTree::new(mesh),
             most_cells: if mesh.cut_mesh().is_some() {
@@ -127,7 +138,7 @@ impl<'a> Inverse<'a> {
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
         let mut search = InverseSearch {
-            workspace: Workspace::new(self.f.terms()),
+            workspace: Workspace::new(self.f.as_ref().map_or(0, PosedMap::terms)),
             cancelled,
         };
         let mut found = Vec::with_capacity(posed.len());
@@ -146,7 +157,17 @@ impl<'a> Inverse<'a> {
     /// f at up to [`LANES`] positions; `None` when cancelled.
     fn f(&self, x: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Point>> {
         self.steps.fetch_add(1, Ordering::Relaxed);
-        (!(search.cancelled)()).then(|| self.f.map_block(x, &mut search.workspace))
+        let f = self.f.as_ref().filter(|_| !(search.cancelled)())?;
+        Some(f.map_block(x, &mut search.workspace))
+    }
+
+    /// The positions in the patches of the cells that are drawn last.
+    fn in_patches(&self, starts: &[Vec<Start>]) -> Vec<Option<Point>> {
+        let found = |starts: &Vec<Start>| {
+            let mut inside = starts.iter().filter(|start| start.is_inside);
+            inside.find_map(|start| self.within(start.x, start))
+        };
+        starts.iter().map(found).collect()
     }
 
     fn block(&self, posed: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Option<Point>>> {
@@ -169,6 +190,9 @@ impl<'a> Inverse<'a> {
                 starts
             })
             .collect();
+        if self.f.is_none() {
+            return (!(search.cancelled)()).then(|| self.in_patches(&starts));
+        }
         let mut found = vec![None; posed.len()];
         for attempt in 0.. {
             let at = |k: usize| starts[k].get(attempt).filter(|_| found[k].is_none());

@@ -98,6 +98,19 @@ impl RestDeformation {
         Some(())
     }
 
+    /// Calls `look` with each point, and the ends of each segment, at rest and posed.
+    pub fn for_each_handle(&self, pose: &Pose, mut look: impl FnMut(&[Point], &[Point])) {
+        let d = pose.displacements();
+        for element in &self.elements {
+            match element {
+                Element::Point { p, column, .. } => look(&[*p], &[*p + d[*column]]),
+                Element::Segment(RestSegment { a, b, column, .. }) => {
+                    look(&[*a, *b], &[*a + d[*column], *b + d[*column + 1]]);
+                }
+            }
+        }
+    }
+
     /// Calls `look` with the client's points that are one handle with others, where they agree with
     /// them: their own positions, at which f is only approximately known, and their displacements,
     /// px. `None` when cancelled.

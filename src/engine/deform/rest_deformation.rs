@@ -295,6 +295,24 @@ impl RestDeformation {
         }
     }
 
+    /// The map of the same method of other handles at rest, as many and of the same forms as
+    /// [`RestDeformation::handles`].
+    ///
+    /// # Errors
+    /// Those of [`RestDeformation::of`].
+    pub(super) fn at(
+        &self,
+        handles: Vec<Handle>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        let places = Handles::new(handles, None)?;
+        // Those of groups may be heavier than a client's.
+        let weights = self.handles.weights().to_vec();
+        let handles = Handles::of_valid(places.handles().to_vec(), weights);
+        let (coincident, method) = (Coincident::default(), self.method);
+        Self::of(handles, coincident, method, &self.parameters, cancelled)
+    }
+
     /// The client's handle of a column; the first one of a group.
     pub(super) fn owner_of(&self, column: usize) -> usize {
         let is_after = |element: &Element| element.column() <= column;

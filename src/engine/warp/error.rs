@@ -113,6 +113,13 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+    /// `folds: remove`, for a method or a metric whose folds cannot be removed.
+    NotUnfolded,
+    /// `folds: remove`, and no map without folds takes the handles to their targets.
+    Unreachable {
+        /// Indices of handles that would have to pass through each other, or through themselves.
+        handles: Vec<usize>,
+    },
     /// `canvas: fit` and the posed picture has no area.
     NothingVisible,
 }
@@ -189,6 +196,16 @@ impl fmt::Display for WarpError {
                 f,
                 "the warp folds over itself in {cells} {} of the grid",
                 if *cells == 1 { "cell" } else { "cells" }
+            ),
+            Self::NotUnfolded => f.write_str(
+                "folds can be removed with the methods rigid, similarity, affine and tps without \
+                    smoothing, and with distances in the plane",
+            ),
+            Self::Unreachable { handles } => write!(
+                f,
+                "no map without folds takes the handles {} to their targets: they would have to \
+                    pass through each other, or through themselves",
+                listed(handles)
             ),
             Self::NothingVisible => f.write_str("the posed picture has no area"),
         }
@@ -294,6 +311,8 @@ pub enum Task {
     Quality,
     /// The frames of a batch that are posed before the first is drawn.
     Survey,
+    /// A map without folds.
+    Folds,
 }
 
 impl Task {
@@ -311,6 +330,7 @@ impl Task {
             Self::Comparison => "comparing the candidates on these points",
             Self::Quality => "measuring the posed grid",
             Self::Survey => "posing all frames before the first is sent",
+            Self::Folds => "removing folds with these handles",
         }
     }
 }
@@ -338,6 +358,11 @@ pub enum Warning {
     /// The metric follows the mask of the image, and every pixel is inside: it is that of the
     /// plane.
     MaskIsEverything,
+    /// Folds were to be removed, and cells remain folded.
+    FoldsRemain {
+        /// Their number.
+        cells: u64,
+    },
     /// No posed cell intersects the canvas.
     NothingVisible,
     /// Most of the picture is turned over, as in a mirror.
@@ -403,6 +428,7 @@ impl Warning {
             Self::HandlesMissing { .. } => "handles_missing",
             Self::MaskIsEverything => "mask_is_everything",
             Self::LandmarksUnmatched => "landmarks_unmatched",
+            Self::FoldsRemain { .. } => "folds_remain",
             Self::NothingVisible => "nothing_visible",
             Self::Mirrored => "mirrored",
             Self::MirroredUseAffine { .. } => "mirrored_use_affine",
@@ -423,6 +449,7 @@ impl Warning {
             }
             Self::ScaledUseSimilarity { scale } => vec![("scale", Figure::Number(*scale))],
             Self::HandlesMissing { handles } => vec![("handles", Figure::Indices(handles.clone()))],
+            Self::FoldsRemain { cells } => vec![("cells", Figure::Count(*cells))],
             Self::Deform(_)
             | Self::ToleranceExceeded
             | Self::HandlesOutsidePicture
@@ -455,6 +482,14 @@ impl From<CodecError> for WarpError {
             Self::Codec(error)
         }
     }
+}
+
+/// The first handles.
+fn listed(handles: &[usize]) -> String {
+    const MOST: usize = 8;
+    let first: Vec<String> = handles.iter().take(MOST).map(usize::to_string).collect();
+    let more = if handles.len() > MOST { ", ..." } else { "" };
+    first.join(", ") + more
 }
 
 /// Says which methods a parameter belongs to.

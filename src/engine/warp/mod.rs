@@ -49,6 +49,8 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod transform;
+#[cfg(feature = "unfold")]
+mod unfolded;
 mod work;
 
 pub use self::alignment::Alignment;

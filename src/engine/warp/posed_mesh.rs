@@ -1,8 +1,13 @@
 //! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
+#[cfg(feature = "unfold")]
+use std::sync::Arc;
+
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
 use super::resolved_rest::FINE_BYTES;
+#[cfg(feature = "unfold")]
+use super::unfolded::Unfolded;
 use super::{CompiledRest, Digest, Folds, Region, ResolvedRest, Units, Warning, WarpError};
 #[cfg(feature = "codec")]
 use super::{OutputSpec, RasterSource, Target};
@@ -53,6 +58,9 @@ pub struct PosedMesh {
     handles: PosedHandles,
     exceeded: Vec<(u32, u32)>,
     region: Option<Region>,
+    /// What the mesh follows from, if its folds were removed.
+    #[cfg(feature = "unfold")]
+    unfolded: Option<Arc<Unfolded>>,
 }
 
 impl PosedMesh {
@@ -71,6 +79,10 @@ impl PosedMesh {
     ) -> Result<Self, WarpError> {
         let f = setup.without_table(plan, pose);
         let mut posed = Self::of_map(setup, plan, f.as_ref(), pose, folds, cancelled)?;
+        if posed.is_unfolded() {
+            // The mesh is the map.
+            return Ok(posed);
+        }
         let has_folds = posed.report.folds > 0;
         if let Some(subdivided) =
             setup.subdivide(plan, f.as_ref(), &posed.mesh, has_folds, pose, cancelled)?
@@ -113,7 +125,16 @@ impl PosedMesh {
         folds: Folds,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
+        setup.check_folds(folds)?;
         let (mesh, quality) = setup.mesh(plan, f, pose, cancelled)?;
+        #[cfg(feature = "unfold")]
+        let (mesh, unfolded) = match folds {
+            Folds::Remove => match setup.unfold(pose, &mesh, cancelled)? {
+                Some((mesh, unfolded)) => (mesh, Some(Arc::new(unfolded))),
+                None => (mesh, None),
+            },
+            Folds::Report | Folds::Reject => (mesh, None),
+        };
         let mesh = setup.in_order(mesh, plan, cancelled)?;
         let Folding { orientation, cells } = mesh.folding(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
@@ -136,10 +157,19 @@ impl PosedMesh {
         if orientation == Orientation::Mirrored {
             report.warn(Warning::Mirrored);
         }
+        if folds == Folds::Remove && cells > 0 {
+            report.warn(Warning::FoldsRemain { cells });
+        }
         let (units, handles) = (setup.units(), setup.posed_handles(pose));
         let (mut digest, unit) = (digest(setup, pose), setup.unit());
         if let Some(depth) = setup.depth.as_ref().filter(|_| mesh.order().is_some()) {
             digest = depth.digest(digest);
+        }
+        #[cfg(feature = "unfold")]
+        if unfolded.is_some() {
+            digest = Collector::new("mlswarp unfolded 1")
+                .bytes(&digest.0)
+                .finish();
         }
         Ok(Self {
             mesh,
@@ -150,6 +180,8 @@ impl PosedMesh {
             handles,
             exceeded: Vec::new(),
             region: None,
+            #[cfg(feature = "unfold")]
+            unfolded,
         })
     }
 
@@ -194,10 +226,50 @@ impl PosedMesh {
         bounds.ok_or(WarpError::Cancelled)
     }
 
-    /// Memory of the cells that are halved, bytes.
+    /// Whether folds were removed: then what the mesh draws is the map.
     #[must_use]
-    pub fn halved_bytes(&self) -> u64 {
-        (self.mesh.vertices() - self.mesh.grid().len() as u64) * FINE_BYTES
+    pub const fn is_unfolded(&self) -> bool {
+        #[cfg(feature = "unfold")]
+        return self.unfolded.is_some();
+        #[cfg(not(feature = "unfold"))]
+        false
+    }
+
+    #[cfg(feature = "unfold")]
+    pub(super) const fn unfolded(&self) -> Option<&Arc<Unfolded>> {
+        self.unfolded.as_ref()
+    }
+
+    /// Memory for mapping many positions outside of the image, if folds were removed, bytes.
+    #[must_use]
+    pub fn factor_bytes(&self) -> u64 {
+        #[cfg(feature = "unfold")]
+        return self.unfolded.as_ref().map_or(0, |of| of.factor_bytes());
+        #[cfg(not(feature = "unfold"))]
+        0
+    }
+
+    /// Prepares mapping many positions outside of the image, if folds were removed.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn keep_factors(&self, cancelled: IsCancelled<'_>) -> Result<(), WarpError> {
+        #[cfg(feature = "unfold")]
+        if let Some(unfolded) = &self.unfolded {
+            return unfolded.keep_factors(cancelled).ok_or(WarpError::Cancelled);
+        }
+        let _ = cancelled;
+        Ok(())
+    }
+
+    /// Memory of the cells that are halved, and of the map if folds were removed, bytes.
+    #[must_use]
+    pub fn extra_bytes(&self) -> u64 {
+        #[cfg(feature = "unfold")]
+        let unfolded = self.unfolded.as_ref().map_or(0, |of| of.bytes());
+        #[cfg(not(feature = "unfold"))]
+        let unfolded = 0;
+        (self.mesh.vertices() - self.mesh.grid().len() as u64) * FINE_BYTES + unfolded
     }
 
     /// The mesh, px.

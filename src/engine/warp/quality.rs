@@ -218,8 +218,8 @@ fn round_trip(
     let (folded, places): (Vec<Point>, Vec<Point>) =
         lattice.filter(in_range).partition(|p| is_folded(*p));
     let (f, inverse) = (
-        setup.transform(pose).in_px(),
-        setup.inverse(pose, mesh).in_px(),
+        setup.transform_of(pose, posed).in_px(),
+        setup.inverse(pose, posed).in_px(),
     );
     let there = f
         .map(&places, cancelled)?

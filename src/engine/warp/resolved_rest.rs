@@ -11,8 +11,8 @@ use super::rest_parameters::{
 };
 use super::spec::at_most;
 use super::{
-    CompiledRest, Digest, GridSpec, Limits, Metric, Quantity, RestMask, RestSpec, Task, Units,
-    Warning, WarpError, work,
+    CompiledRest, Digest, Folds, GridSpec, Limits, Metric, Quantity, RestMask, RestSpec, Task,
+    Units, Warning, WarpError, work,
 };
 use crate::deform::{
     self, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap, RestDeformation,
@@ -284,6 +284,20 @@ impl ResolvedRest {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
     }
 
+    /// Checks the treatment of folds, before anything is posed.
+    ///
+    /// # Errors
+    /// A method or metric whose folds cannot be removed; more work than the limit.
+    pub fn check_folds(&self, folds: Folds) -> Result<(), WarpError> {
+        match folds {
+            Folds::Report | Folds::Reject => Ok(()),
+            #[cfg(feature = "unfold")]
+            Folds::Remove => self.check_unfolding(),
+            #[cfg(not(feature = "unfold"))]
+            Folds::Remove => Err(WarpError::NotUnfolded),
+        }
+    }
+
     /// Checks the work of posing this number of frames, and of drawing their grids.
     ///
     /// # Errors
@@ -348,10 +362,26 @@ impl ResolvedRest {
         self.cut.is_none() && !deform::CoefficientTable::is_worthwhile(&self.field)
     }
 
-    /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes;
-    /// [`PosedMesh::halved_bytes`](super::PosedMesh::halved_bytes) is what a pose has used of it.
+    /// Upper bound of the memory that posing takes beside [`ResolvedRest::posed_bytes`], bytes;
+    /// [`PosedMesh::extra_bytes`](super::PosedMesh::extra_bytes) is what a pose keeps of it.
+    /// `is_coarse`: as [`PosedMesh::coarse`](super::PosedMesh::coarse).
     #[must_use]
-    pub fn most_halved_bytes(&self) -> u64 {
+    pub fn most_extra_bytes(&self, folds: Folds, is_coarse: bool) -> u64 {
+        let halved = if is_coarse {
+            0
+        } else {
+            self.most_halved_bytes()
+        };
+        #[cfg(feature = "unfold")]
+        if folds == Folds::Remove {
+            return halved.max(self.unfolding_bytes());
+        }
+        let _ = folds;
+        halved
+    }
+
+    /// Of cells that are halved to meet the tolerance.
+    fn most_halved_bytes(&self) -> u64 {
         if self.tolerance.is_some() {
             self.fine_vertices() as u64 * FINE_BYTES
         } else {

@@ -115,6 +115,20 @@ pub enum Folds {
     Report,
     /// Refuse the request.
     Reject,
+    /// Where the map folds, another one without folds, if there is one.
+    Remove,
+}
+
+impl Folds {
+    /// What is measured of a pose: folds that would be refused are reported.
+    #[must_use]
+    pub fn measured(self) -> Self {
+        if self == Self::Reject {
+            Self::Report
+        } else {
+            self
+        }
+    }
 }
 
 /// The parameters that stay the same while q changes, not yet resolved or validated.
@@ -200,6 +214,20 @@ impl RestSpec {
             .with_some("alpha", alpha)
             .with_some("point_mass", self.point_mass)
             .with_some("smoothing", self.smoothing)
+    }
+
+    /// Checks the treatment of folds, before anything is computed.
+    ///
+    /// # Errors
+    /// A method or metric whose folds cannot be removed.
+    pub fn check_folds(&self, folds: Folds) -> Result<(), WarpError> {
+        let info = self.method.info();
+        let is_exact = info.interpolates(&self.parameters());
+        let can_unfold = info.can_unfold && is_exact && self.metric == Metric::Euclidean;
+        if folds == Folds::Remove && !can_unfold {
+            return Err(WarpError::NotUnfolded);
+        }
+        Ok(())
     }
 
     /// Whether there must be a mask.

@@ -341,7 +341,18 @@ impl WarperBuilder {
         self
     }
 
-    /// Whether a pose that folds over itself is an error.
+    /// Whether a pose that folds over itself is drawn, is an error, or has its folds removed.
+    ///
+    /// ```
+    /// use mlswarp::Warper;
+    /// use mlswarp::warp::Folds;
+    /// let corners = [[20.0, 20.0], [180.0, 20.0], [20.0, 180.0], [180.0, 180.0]];
+    /// let p = [&corners[..], &[[50.0, 100.0]]].concat();
+    /// let q = [&corners[..], &[[150.0, 100.0]]].concat();
+    /// let warper = Warper::builder(&p).folds(Folds::Remove).build([200, 200])?;
+    /// assert_eq!(warper.pose(&q)?.report().folds, 0);
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
     #[must_use]
     pub fn folds(mut self, folds: Folds) -> Self {
         self.folds = folds;
@@ -383,7 +394,9 @@ impl WarperBuilder {
         }
         .check(extent)?;
         let is_cancelled = || cancel.is_cancelled();
+        rest.check_folds(folds)?;
         let resolved = ResolvedRest::new(&rest, extent, &limits, &is_cancelled)?;
+        resolved.check_folds(folds)?;
         let compiled = resolved.plan(&is_cancelled)?;
         let inner = Inner {
             extent,

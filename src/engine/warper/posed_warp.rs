@@ -213,7 +213,9 @@ impl PosedWarp {
     /// f itself, for outlines too; its positions are in the units of the handles.
     #[must_use]
     pub fn transform(&self) -> Transform<'_> {
-        self.warper.resolved().transform(self.pose())
+        self.warper
+            .resolved()
+            .transform_of(self.pose(), &self.posed)
     }
 
     /// Which positions of the image go to these ones; `None` where nothing does. Of several, the
@@ -247,11 +249,14 @@ impl PosedWarp {
     /// # Errors
     /// Cancelled.
     pub fn inverse(&self) -> Result<Transform<'_>, WarpError> {
-        let mesh = self.to_invert()?.mesh();
-        Ok(self.warper.to_invert()?.0.inverse(self.pose(), mesh))
+        let posed = self.to_invert()?;
+        Ok(self.warper.to_invert()?.0.inverse(self.pose(), posed))
     }
 
     fn to_invert(&self) -> Result<&PosedMesh, WarpError> {
+        if self.posed.is_unfolded() {
+            return Ok(&self.posed);
+        }
         let (resolved, compiled) = self.warper.to_invert()?;
         if self.inverse.get().is_none() {
             let posed = self.warper.cancellable(|cancelled| {

@@ -220,15 +220,13 @@ async fn map_file(app: &App, ticket: &Ticket, job: MapJob) -> Result<MapFile, Pr
         let (began, is_cancelled, limits) =
             (Instant::now(), || cancel.is_cancelled(), drawing.limits);
         let pose = || PosedMesh::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
-        let (posed, mut held) =
-            drawing.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+        let (posed, mut held) = drawing.reserve_and_pose(&setup, &quota, (folds, false), pose)?;
         let target = spec
             .target(&posed, source, &limits, &is_cancelled)
             .map_err(|error| in_map(error.into()))?;
-        drawing.admission.reserve_more(
-            &mut held,
-            posed.halved_bytes() + target.window_bytes(&posed),
-        )?;
+        drawing
+            .admission
+            .reserve_more(&mut held, posed.extra_bytes() + target.window_bytes(&posed))?;
         let map = CoordinateMap::new(&spec, &posed, target)?;
         let report = posed.into_report(
             Some(target.canvas.unwrap_or(Canvas::of(source))),

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{CompactLattice, PosedMesh, Report, WarpError};
+use mlswarp::warp::{CompactLattice, Folds, PosedMesh, Report, WarpError};
 
 use super::App;
 use super::json_text::cancellable_json;
@@ -159,7 +159,8 @@ pub(crate) async fn pose_mesh(
         let began = Instant::now();
         let is_cancelled = || cancel.is_cancelled();
         let pose = || PosedMesh::coarse(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
-        let (posed, mut reservation) = drawing.reserve_and_pose(&setup, &quota, 0, pose)?;
+        let (posed, mut reservation) =
+            drawing.reserve_and_pose(&setup, &quota, (folds, true), pose)?;
         timing.deform = began.elapsed();
         stage("deform", began);
         drawing.metrics.prepared(&timing);
@@ -193,7 +194,8 @@ pub(crate) async fn compact_lattice(
     let drawing = Arc::clone(&app.drawing);
     let choose = move |cancel: &Cancel| {
         let choose = || CompactLattice::new(&setup, &table, tolerance, &|| cancel.is_cancelled());
-        let (lattice, _reservation) = drawing.reserve_and_pose(&setup, &quota, 0, choose)?;
+        let (lattice, _reservation) =
+            drawing.reserve_and_pose(&setup, &quota, (Folds::Report, true), choose)?;
         Ok::<_, Problem>(lattice)
     };
     plan.ticket.run(choose).await?

@@ -79,7 +79,8 @@ impl MappedParts {
 struct MappingJob {
     setup: HeldSetup,
     pose: deform::Pose,
-    /// The posed grid, which shows where to look for the inverse, and its memory.
+    /// The posed grid, and its memory: where to look for the inverse, or the map itself if folds
+    /// were removed.
     posed: Option<(PosedMesh, Reservation)>,
     picture: CoordinateFrame,
     /// Text of the body.
@@ -102,7 +103,10 @@ impl MappingJob {
         let mut reserve = |bytes| admission.reserve_more(&mut reservation, bytes);
         let mut map = || {
             let transform = match &self.posed {
-                Some((posed, _)) => self.setup.inverse(&self.pose, posed.mesh()),
+                Some((posed, _)) if self.annotations.is_inverse => {
+                    self.setup.inverse(&self.pose, posed)
+                }
+                Some((posed, _)) => self.setup.transform_of(&self.pose, posed),
                 None => self.setup.transform(&self.pose),
             };
             let (transform, mut out) = (transform.onto(self.picture), Vec::new());
@@ -140,9 +144,9 @@ struct PointsJob {
 }
 
 impl PointsJob {
-    /// Whether a posed grid decides on the canvas, or whether the request is refused.
+    /// Whether a posed grid decides on the canvas, on the map, or whether the request is refused.
     fn needs_grid(object: &PointsObject, folds: Folds) -> bool {
-        object.output.canvas == CanvasSpec::Fit || folds == Folds::Reject
+        object.output.canvas == CanvasSpec::Fit || folds != Folds::Report
     }
 }
 
@@ -295,14 +299,23 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
             _held,
         ) = object.into_parts();
         let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
+        let mut unfolded = None;
         let target = match drawn {
             Some(drawn) => {
                 let pose = || PosedMesh::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
-                let (posed, _held) =
-                    drawing.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+                let (posed, mut held) =
+                    drawing.reserve_and_pose(&setup, &quota, (folds, false), pose)?;
                 let region = region.as_ref().and_then(DrawnContent::region).cloned();
                 let posed = region.into_iter().fold(posed, PosedMesh::within);
-                output.target(setup.source(), &posed, &drawing.limits, &is_cancelled)?
+                let (source, limits) = (setup.source(), &drawing.limits);
+                let target = output.target(source, &posed, limits, &is_cancelled)?;
+                if posed.is_unfolded() {
+                    let bytes = posed.extra_bytes() + posed.factor_bytes();
+                    drawing.admission.reserve_more(&mut held, bytes)?;
+                    posed.keep_factors(&is_cancelled)?;
+                    unfolded = Some((posed, held));
+                }
+                target
             }
             None => match output.target_before_pose(setup.source(), &drawing.limits)? {
                 Some(target) => target,
@@ -319,11 +332,12 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
             },
             &mut warnings,
         );
+        let to_invert = to_invert.filter(|_| unfolded.is_none());
         let posed = to_invert.map(|Planned { setup, plan, .. }| {
             let coarse = || PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
-            drawing.reserve_and_pose(&setup, &quota, 0, coarse)
+            drawing.reserve_and_pose(&setup, &quota, (Folds::Report, true), coarse)
         });
-        let posed = posed.transpose()?;
+        let posed = unfolded.map_or_else(|| posed.transpose(), |posed| Ok(Some(posed)))?;
         let is_long = is_long || posed.is_some();
         let job = Arc::new(MappingJob {
             setup,

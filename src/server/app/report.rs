@@ -35,6 +35,7 @@ struct ReportJob {
     q: Arc<Held<Vec<Handle>>>,
     /// How q was aligned, if that was requested.
     alignment: Option<Alignment>,
+    folds: Folds,
     output: OutputSpec,
     /// Has the region that moves, if the canvas depends on it.
     region: Option<DrawnContent>,
@@ -63,12 +64,13 @@ pub(crate) async fn once(
         ..
     } = resolve_on(app, &ticket, warp, extent).await?;
     let method = object.is_auto.then(|| method_text(&object.rest));
-    let output = object.output;
+    let (folds, output) = (object.folds.measured(), object.output);
     let job = ReportJob {
         client,
         setup,
         q,
         alignment,
+        folds,
         output,
         region: None,
         drawn: None,
@@ -114,11 +116,13 @@ pub(crate) async fn of_session(
     let region = app.images.region_of(client, &record, output.canvas).await?;
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
+    let folds = record.folds.measured();
     let job = ReportJob {
         client,
         setup,
         q,
         alignment,
+        folds,
         output,
         region,
         drawn: Some(content),
@@ -150,6 +154,7 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseRespon
         setup,
         q,
         alignment,
+        folds,
         output,
         region,
         drawn,
@@ -170,9 +175,11 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseRespon
     let measure = move |cancel: &Cancel| {
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
         let pose = setup.pose(&q)?;
-        let posed = || PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+        let posed = || PosedMesh::new(&setup, &plan, &pose, folds, &is_cancelled);
         let (posed, mut reservation) =
-            drawing.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
+            drawing.reserve_and_pose(&setup, &quota, (folds, false), posed)?;
+        // What is drawn is then inverted itself.
+        let to_invert = to_invert.filter(|_| !posed.is_unfolded());
         let region = region.as_ref().and_then(DrawnContent::region).cloned();
         let posed = region.into_iter().fold(posed, PosedMesh::within);
         let canvas = output.canvas.of(setup.source(), &posed, &is_cancelled)?;
@@ -181,7 +188,7 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseRespon
             .map_or(0, |planned| planned.setup.posed_bytes());
         drawing.admission.reserve_more(
             &mut reservation,
-            posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes,
+            posed.extra_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes,
         )?;
         let quality = drawing.admission.pool.run_parallel(|| {
             let coarse = |planned: &Planned| {

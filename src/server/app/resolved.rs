@@ -82,7 +82,9 @@ pub(crate) fn resolve_by(
     });
     let alignment = object.settle_pose(extent)?;
     choose_method(app, &mut object, extent, cancel)?;
+    object.rest.check_folds(object.folds)?;
     let setup = setup_of(&object.rest)?;
+    setup.check_folds(object.folds)?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     let q = part(&mut object, |object| object.q.take().unwrap_or_default());
     Ok(Resolved {

@@ -8,7 +8,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Align, OutputSpec, ResolvedRest};
+use mlswarp::warp::{Align, Folds, OutputSpec, ResolvedRest};
 
 use super::draw::{DrawJob, Drawn};
 use super::drawable::DrawnContent;
@@ -217,7 +217,7 @@ async fn admit_drawing(
 }
 
 /// Admits a step of a drag: as a drag if everything that it uses is cached, the order of drawing
-/// is known and the plan has a table, otherwise as an upload.
+/// is known, the plan has a table and no folds are removed, otherwise as an upload.
 pub(crate) async fn admit_step(
     app: &App,
     client: Client,
@@ -229,7 +229,8 @@ pub(crate) async fn admit_step(
     let is_cached = has_image
         && app.plans.touch(record.id.owner(), setup)
         && setup.plan_bytes().is_some()
-        && setup.lacks_order().is_none();
+        && setup.lacks_order().is_none()
+        && record.folds != Folds::Remove;
     let class = if is_cached {
         WorkClass::Drag
     } else {

@@ -264,9 +264,9 @@ fn mapped(object: &PointsObject) -> Result<(), Problem> {
         false
     })?;
     let transform = if object.annotations.is_inverse {
-        setup.inverse(&pose, posed.mesh())
+        setup.inverse(&pose, &posed)
     } else {
-        setup.transform(&pose)
+        setup.transform_of(&pose, &posed)
     };
     let transform = transform.onto(CoordinateFrame::requested(
         &object.output,

@@ -78,13 +78,6 @@ fn handles_out_of_the_mathematics_range_are_left_to_it() {
 }
 
 #[test]
-fn words_of_the_contract_that_are_missing_here_are_not_supported() {
-    use Code::NotSupported as S;
-    let table: &[Expected] = &[("{\"folds\": \"remove\"}", S, Some("/folds"), None)];
-    check(WarpObject::parse, table);
-}
-
-#[test]
 fn words_and_colours_that_do_not_exist_are_bad_values() {
     use Code::BadValue as B;
     let table: &[Expected] = &[

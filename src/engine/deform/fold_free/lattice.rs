@@ -24,11 +24,9 @@ pub(super) struct ControlLattice {
 impl ControlLattice {
     /// For an image of this size, px.
     pub(super) fn new(width: f64, height: f64) -> Self {
-        let longest = width.max(height);
-        let usual = (longest / CELLS).clamp(CELL_SIDES[0], CELL_SIDES[1]);
-        let side = usual.max(longest * (1.0 + 2.0 * BORDER_SHARE) / MOST_CELLS);
+        let side = side_of(width, height);
         let lines = |length: f64| {
-            let cells = (length * (1.0 + 2.0 * BORDER_SHARE) / side).ceil();
+            let cells = cells_along(length, side);
             let positions = (0..=u32::MAX)
                 .map(f64::from)
                 .take_while(move |k| *k <= cells);
@@ -41,6 +39,19 @@ impl ControlLattice {
             places: lines(height).flat_map(row).collect(),
             area: side * side,
         }
+    }
+
+    /// The number of vertices of one of this size.
+    pub(super) fn count(width: f64, height: f64) -> u64 {
+        let side = side_of(width, height);
+        let lines = |length: f64| {
+            (0..=u64::MAX).take_while(move |k| *k as f64 <= cells_along(length, side))
+        };
+        (lines(width).count() * lines(height).count()) as u64
+    }
+
+    pub(super) const fn len(&self) -> u64 {
+        self.places.len() as u64
     }
 
     pub(super) fn places(&self) -> &[Point] {
@@ -79,6 +90,16 @@ impl ControlLattice {
         });
         longest
     }
+}
+
+fn side_of(width: f64, height: f64) -> f64 {
+    let longest = width.max(height);
+    let usual = (longest / CELLS).clamp(CELL_SIDES[0], CELL_SIDES[1]);
+    usual.max(longest * (1.0 + 2.0 * BORDER_SHARE) / MOST_CELLS)
+}
+
+fn cells_along(length: f64, side: f64) -> f64 {
+    (length * (1.0 + 2.0 * BORDER_SHARE) / side).ceil()
 }
 
 /// The smallest positive root of `c0 + c1 s + c2 s^2`, with `c0 > 0`; infinite without one.

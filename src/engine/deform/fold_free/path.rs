@@ -51,19 +51,19 @@ impl Path {
         let count = 1_u32 << halvings;
         let leg = |k: u32| {
             if k == count {
-                return targets.clone();
+                return Some(targets.clone());
             }
             let pairs = rest.iter().zip(&targets);
             let mut leg = pairs.map(|(p, t)| on_way(p, t, k, halvings)).collect();
-            join(&rest, &targets, &mut leg, SAME_SHARE * extent);
+            join(&rest, &targets, &mut leg, SAME_SHARE * extent, cancelled)?;
             if 2 * k == count {
                 for (handle, aside) in &asides {
                     leg[*handle].iter_mut().for_each(|v| *v = *v + *aside);
                 }
             }
-            leg
+            Some(leg)
         };
-        let legs = (1..=count).map(leg).collect();
+        let legs = (1..=count).map(leg).collect::<Option<_>>()?;
         Some(Self { rest, legs })
     }
 
@@ -139,12 +139,21 @@ fn on_way(p: &[Point], t: &[Point], k: u32, halvings: u32) -> Vec<Point> {
     vec![centre + half * -1.0, centre + half]
 }
 
-/// Ends that are one at rest and posed stay one.
-fn join(p: &HandlePlaces, t: &HandlePlaces, leg: &mut HandlePlaces, same: f64) {
+/// Ends that are one at rest and posed stay one. `None` when cancelled.
+fn join(
+    p: &HandlePlaces,
+    t: &HandlePlaces,
+    leg: &mut HandlePlaces,
+    same: f64,
+    cancelled: IsCancelled<'_>,
+) -> Option<()> {
     let of = |handle: usize| (0..p[handle].len()).map(move |k| (handle, k));
     let mut ends: Vec<(usize, usize)> = (0..p.len()).flat_map(of).collect();
     let place = |places: &HandlePlaces, (handle, k): (usize, usize)| places[handle][k];
     while let Some(end) = ends.pop() {
+        if cancelled() {
+            return None;
+        }
         let is_one = |other: &(usize, usize)| {
             [p, t]
                 .iter()
@@ -165,6 +174,7 @@ fn join(p: &HandlePlaces, t: &HandlePlaces, leg: &mut HandlePlaces, same: f64) {
             leg[handle][k] = origin + sum * (1.0 / count);
         }
     }
+    Some(())
 }
 
 /// Positions of a handle, several of each segment.

@@ -40,7 +40,7 @@ pub(super) fn unreachable(
             }
         }
     }
-    Some(turned_chain(&parts, same))
+    turned_chain(&parts, same, cancelled)
 }
 
 fn parts_of(p: &[Handle], q: &[Handle]) -> Vec<HandlePart> {
@@ -103,8 +103,12 @@ fn meeting(one: [Point; 2], other: [Point; 2], same: f64) -> Option<[f64; 2]> {
     (is_inside(s) && is_inside(t)).then_some([s, t])
 }
 
-/// A closed chain of segments whose area changes its sign.
-fn turned_chain(parts: &[HandlePart], same: f64) -> Option<Vec<usize>> {
+/// A closed chain of segments whose area changes its sign. The outer `None`: cancelled.
+fn turned_chain(
+    parts: &[HandlePart],
+    same: f64,
+    cancelled: IsCancelled<'_>,
+) -> Option<Option<Vec<usize>>> {
     let mut open: Vec<&HandlePart> = parts.iter().filter(|part| part.is_segment).collect();
     while let Some(first) = open.pop() {
         let mut chain = vec![(first.rest, first.posed)];
@@ -113,6 +117,9 @@ fn turned_chain(parts: &[HandlePart], same: f64) -> Option<Vec<usize>> {
             move |part: &&HandlePart| part.rest.iter().any(|v| v.distance(end) <= same)
         };
         while end.distance(first.rest[0]) > same {
+            if cancelled() {
+                return None;
+            }
             let mut next = open
                 .iter()
                 .enumerate()
@@ -133,10 +140,10 @@ fn turned_chain(parts: &[HandlePart], same: f64) -> Option<Vec<usize>> {
         if is_closed && area(&rest) * area(&posed) < 0.0 {
             handles.sort_unstable();
             handles.dedup();
-            return Some(handles);
+            return Some(Some(handles));
         }
     }
-    None
+    Some(None)
 }
 
 /// Twice the area inside a closed chain, with the sign of its turn.

@@ -72,6 +72,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     parameters: &PARAMETERS,
     has_object: true,
     interpolation: Interpolation::IfZero(A),
+    can_unfold: false,
     can_mirror: false,
     can_scale: true,
     candidates: &[],

@@ -30,6 +30,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     parameters: &PARAMETERS,
     has_object: false,
     interpolation: Interpolation::Never,
+    can_unfold: false,
     can_mirror: true,
     can_scale: true,
     candidates: &[&[]],

@@ -98,6 +98,8 @@ pub struct MethodInfo {
     pub has_object: bool,
     /// Whether f takes the handles to their targets.
     pub interpolation: Interpolation,
+    /// Whether folds can be removed where f takes the handles to their targets.
+    pub can_unfold: bool,
     /// Whether a pose can mirror the image as a whole.
     pub can_mirror: bool,
     /// Whether a pose can give the image as a whole another size.

@@ -3,9 +3,9 @@
 use std::error::Error;
 
 use mlswarp::Warper;
-use mlswarp::deform::{Falloff, FoldFree, Handle, Handles, Method, RestDeformation};
-use mlswarp::geometry::{Grid, Mesh, Point, untangle};
-use mlswarp::warp::{GridSpec, Metric, Report};
+use mlswarp::deform::{Handle, Method};
+use mlswarp::geometry::{Grid, Mesh};
+use mlswarp::warp::{Folds, GridSpec, Metric, Report};
 
 use super::Picture;
 
@@ -140,30 +140,14 @@ fn of_picture(picture: &Picture) -> Grid {
     Grid::with_cell(extent.width().into(), extent.height().into(), 5.0)
 }
 
-/// Rigid, as a product of maps without folds, mended where cells of 5 px still fold.
+/// Rigid with cells of 5 px, and its folds removed.
 fn fold_free(figure: &PaperFigure, picture: &Picture) -> Result<Mesh, Box<dyn Error>> {
-    let (p, q) = (figure.rest.handles(), figure.posed.handles());
-    let grid = of_picture(picture);
-    let make = |handles| {
-        let rest = Handles::new(handles, None)?;
-        RestDeformation::new(rest, Method::Rigid, Falloff::new(1.0, false)?, 1.0)
-    };
-    let f = FoldFree::new(&p, &q, &make, &grid, &|| false)?;
-    let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| (i, j)));
-    let vertices: Vec<Point> = vertices.map(|(i, j)| grid.vertex(i, j)).collect();
-    let mapped = f
-        .map_all(&vertices, &|| false)
-        .ok_or("nothing cancels it")?;
-    let moved = mapped.iter().zip(&vertices);
-    #[expect(clippy::cast_possible_truncation, reason = "displacements are f32")]
-    let displacement = moved.map(|(f, v)| [(f.x - v.x) as f32, (f.y - v.y) as f32]);
-    let mesh = Mesh::new(grid, displacement.collect());
-    let places = p.iter().zip(&q);
-    let targets: Vec<_> = places
-        .map(|(p, q)| (p.places()[0], q.places()[0]))
-        .collect();
-    let mended = untangle(&mesh, &targets, &|| false).ok_or("nothing cancels it")?;
-    Ok(mended.mesh)
+    let warper = Warper::builder(&figure.rest.handles())
+        .grid(GridSpec::Cell(5.0))
+        .folds(Folds::Remove)
+        .build(picture.image.extent())?;
+    let posed = warper.pose(&figure.posed.handles())?;
+    Ok(posed.mesh().clone())
 }
 
 const TOY: [[f64; 2]; 7] = [

@@ -37,13 +37,13 @@ pub(super) fn minimise(
     let mut memory: Vec<Remembered> = Vec::new();
     let (mut next, mut next_slope) = (x.to_vec(), slope.clone());
     for _ in 0..ITERATIONS {
-        if cancelled() {
-            return None;
-        }
         let direction = direction(&slope, &memory);
         let descent = dot(&slope, &direction);
         let (mut length, mut gained) = (1.0, 0.0);
         for _ in 0..HALVINGS {
+            if cancelled() {
+                return None;
+            }
             for ((next, x), d) in next.iter_mut().zip(&*x).zip(&direction) {
                 *next = *x + *d * length;
             }

@@ -23,8 +23,14 @@ const PASSES: u32 = 20;
 const HALVING_PASSES: u32 = 10;
 /// A patch is mended when its least determinant is above this.
 const MENDED_DETERMINANT: f64 = 1e-4;
-/// Evaluations of the energy in all rounds. Ordinary folds need 60 to 270.
+/// Evaluations of the energy in all rounds together. Ordinary folds need 60 to 270.
 const MOST_EVALUATIONS: u32 = 4000;
+/// Times that all targets are met in turn before anything is mended, and how far off they may be
+/// then, px.
+const MEETINGS: u32 = 50;
+const MET: f64 = 1e-3;
+/// Cells or targets between two checks of cancellation: less than a millisecond.
+const BETWEEN_CHECKS: usize = 4096;
 
 /// A mended mesh.
 #[derive(Clone, Debug)]
@@ -37,18 +43,26 @@ pub struct Untangled {
     pub evaluations: u32,
 }
 
-/// Moves vertices near folded cells of a mesh without subdivided or cut cells, until none is folded
-/// or too much work is done; the others stay. `targets`: positions at rest, and where the mesh
-/// shall take them, px. `None` when cancelled.
+/// Moves vertices of a mesh without subdivided or cut cells: those of cells with targets until
+/// these are met, and those near folded cells until none is folded or too much work is done; the
+/// others stay. `targets`: positions at rest, and where the mesh shall take them, px.
+/// `most_evaluations`: of the energy, in all rounds together. `None` when cancelled.
 #[must_use]
 pub fn untangle(
     mesh: &Mesh,
     targets: &[(Point, Point)],
+    most_evaluations: u32,
     cancelled: &dyn Fn() -> bool,
 ) -> Option<Untangled> {
     let grid = *mesh.grid();
+    let most_evaluations = most_evaluations.min(MOST_EVALUATIONS);
     let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| (i, j)));
     let mut places: Vec<Point> = vertices.map(|(i, j)| mesh.posed(i, j)).collect();
+    let targets = targets
+        .iter()
+        .filter_map(|(rest, place)| Aim::new(&grid, *rest, *place));
+    let targets: Vec<Aim> = targets.collect();
+    let has_moved = meet(&mut places, &targets, cancelled)?;
     let (mut mended, mut evaluations) = (0, 0);
     for round in 1..=ROUNDS {
         let bad: Vec<[u32; 2]> = cells(&grid)
@@ -60,10 +74,10 @@ pub fn untangle(
         if bad.is_empty() {
             break;
         }
-        let patch = FreePatch::around(&grid, &bad, CELLS_A_ROUND * round, targets);
-        evaluations = patch.mend(&mut places, evaluations, cancelled)?;
+        let patch = FreePatch::around(&grid, &bad, CELLS_A_ROUND * round, &targets, cancelled)?;
+        evaluations = patch.mend(&mut places, (evaluations, most_evaluations), cancelled)?;
     }
-    if mended == 0 {
+    if mended == 0 && !has_moved {
         return Some(Untangled {
             mesh: mesh.clone(),
             mended,
@@ -85,6 +99,31 @@ pub fn untangle(
         mended,
         evaluations,
     })
+}
+
+/// Moves the corners of cells with targets as little as it takes to meet these; more than once,
+/// because targets share corners. Whether any was moved; `None` when cancelled.
+fn meet(places: &mut [Point], targets: &[Aim], cancelled: &dyn Fn() -> bool) -> Option<bool> {
+    let mut has_moved = false;
+    for _ in 0..MEETINGS {
+        let mut farthest = 0.0_f64;
+        for (index, target) in targets.iter().enumerate() {
+            if index % BETWEEN_CHECKS == 0 && cancelled() {
+                return None;
+            }
+            let off = target.off(places);
+            farthest = farthest.max(off.norm());
+            let sum: f64 = target.shares.iter().map(|share| share * share).sum();
+            for (vertex, share) in target.corners.iter().zip(target.shares) {
+                places[*vertex] = places[*vertex] + off * (-share / sum);
+            }
+        }
+        if farthest <= MET {
+            break;
+        }
+        has_moved = true;
+    }
+    Some(has_moved)
 }
 
 fn cells(grid: &Grid) -> impl Iterator<Item = [u32; 2]> + use<> {
@@ -130,6 +169,7 @@ fn least_corner(grid: &Grid, places: &[Point], cell: [u32; 2]) -> f64 {
 }
 
 /// A position in a cell as shares of its corners, and where it shall be.
+#[derive(Clone, Copy)]
 struct Aim {
     corners: [usize; 4],
     shares: [f64; 4],
@@ -183,10 +223,19 @@ struct FreePatch<'a> {
 }
 
 impl<'a> FreePatch<'a> {
-    /// `rings`: how many cells from folded ones vertices may move.
-    fn around(grid: &'a Grid, bad: &[[u32; 2]], rings: u32, targets: &[(Point, Point)]) -> Self {
+    /// `rings`: how many cells from folded ones vertices may move. `None` when cancelled.
+    fn around(
+        grid: &'a Grid,
+        bad: &[[u32; 2]],
+        rings: u32,
+        targets: &[Aim],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<Self> {
         let mut free = vec![None; grid.len()];
         for [i, j] in bad {
+            if cancelled() {
+                return None;
+            }
             let lines =
                 |line: u32, all: u32| line.saturating_sub(rings)..=(line + 1 + rings).min(all - 1);
             for y in lines(*j, grid.rows()) {
@@ -204,23 +253,21 @@ impl<'a> FreePatch<'a> {
         }
         let touches = |corners: &[usize; 4]| corners.iter().any(|vertex| free[*vertex].is_some());
         let cells = cells(grid).filter(|cell| touches(&corners(grid, *cell)));
-        let targets = targets
-            .iter()
-            .filter_map(|(rest, place)| Aim::new(grid, *rest, *place));
-        Self {
+        let targets = targets.iter().copied();
+        Some(Self {
             cells: cells.collect(),
             targets: targets.filter(|target| touches(&target.corners)).collect(),
             grid,
             free,
             vertices,
-        }
+        })
     }
 
     /// Moves the vertices; returns the evaluations so far. `None` when cancelled.
     fn mend(
         &self,
         places: &mut [Point],
-        mut evaluations: u32,
+        (mut evaluations, most): (u32, u32),
         cancelled: &dyn Fn() -> bool,
     ) -> Option<u32> {
         let mut weight = TARGET_WEIGHT;
@@ -231,16 +278,20 @@ impl<'a> FreePatch<'a> {
             let mut x: Vec<Vec2> = self.positions(places);
             let mut energy = |x: &[Vec2], slope: &mut [Vec2]| {
                 self.put(x, places);
-                self.energy(places, barrier, weight, slope)
+                self.energy(places, (barrier, weight), slope, cancelled)
             };
-            let spare = MOST_EVALUATIONS.saturating_sub(evaluations);
+            let spare = most.saturating_sub(evaluations);
             let (after, spent) = minimise(&mut energy, &mut x, spare, cancelled)?;
+            // What was stopped has no energy.
+            if cancelled() {
+                return None;
+            }
             evaluations += spent;
             self.put(&x, places);
             least = self.least(places);
             let off = self.targets.iter().map(|target| target.off(places).norm());
             let is_off = off.fold(0.0, f64::max) > MOST_OFF;
-            if (least > MENDED_DETERMINANT && !is_off) || evaluations >= MOST_EVALUATIONS {
+            if (least > MENDED_DETERMINANT && !is_off) || evaluations >= most {
                 break;
             }
             if is_off {
@@ -280,8 +331,15 @@ impl<'a> FreePatch<'a> {
         least.fold(f64::INFINITY, f64::min)
     }
 
-    /// The distortion of all cells and the distances from targets, and its slope by each vertex.
-    fn energy(&self, places: &[Point], barrier: f64, weight: f64, slope: &mut [Vec2]) -> f64 {
+    /// The distortion of all cells and the distances from targets, and its slope by each vertex;
+    /// infinite when cancelled.
+    fn energy(
+        &self,
+        places: &[Point],
+        (barrier, weight): (f64, f64),
+        slope: &mut [Vec2],
+        cancelled: &dyn Fn() -> bool,
+    ) -> f64 {
         slope.fill(Vec2::ZERO);
         let mut add = |vertex: usize, d: Vec2| {
             if let Some(number) = self.free[vertex] {
@@ -289,7 +347,10 @@ impl<'a> FreePatch<'a> {
             }
         };
         let mut sum = 0.0;
-        for cell in &self.cells {
+        for (index, cell) in self.cells.iter().enumerate() {
+            if index % BETWEEN_CHECKS == BETWEEN_CHECKS - 1 && cancelled() {
+                return f64::INFINITY;
+            }
             for ([a, b, c], lengths) in each_corner(self.grid, *cell) {
                 let [u, v] = [
                     (places[b] - places[a]) * (1.0 / lengths[0]),

@@ -77,7 +77,7 @@ fn a_folded_sheet_shows_the_layer_in_front() {
             // The inverse finds what is drawn.
             let pose = setup.pose(&q).unwrap();
             let at = [Point::new(60.5, 60.5)];
-            let found = setup.inverse(&pose, posed.mesh()).map(&at, &|| false);
+            let found = setup.inverse(&pose, &posed).map(&at, &|| false);
             let found = found.unwrap()[0].unwrap();
             assert!(
                 found.distance(seen) < 1.5,
@@ -185,7 +185,7 @@ fn the_leg_in_front_covers_the_other() {
             let at = |k: usize| Point::new((k % 58) as f64 + 0.5, (k / 58) as f64 + 0.5);
             let shown = shown(&posed, extent);
             let pose = setup.pose(&q).unwrap();
-            let inverse = setup.inverse(&pose, posed.mesh());
+            let inverse = setup.inverse(&pose, &posed);
             for (k, seen) in shown.iter().enumerate().filter(|(k, _)| k % 7 == 0) {
                 let found = inverse.map(&[at(k)], &|| false).unwrap()[0];
                 if let (Some(seen), Some(found)) = (seen, found) {

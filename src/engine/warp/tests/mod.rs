@@ -16,6 +16,7 @@ mod quality;
 mod region;
 mod sets;
 mod subjects;
+mod unfold;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -10,7 +10,9 @@ use std::sync::atomic::AtomicUsize;
 
 use crate::parallel::prelude::*;
 
-use super::{CoordinateFrame, ResolvedRest, Task, Units, WarpError, work};
+#[cfg(feature = "unfold")]
+use super::unfolded::Unfolded;
+use super::{CoordinateFrame, PosedMesh, ResolvedRest, Task, Units, WarpError, work};
 use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};
 use crate::geometry::{Mesh, Point};
 pub use outlines::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, samples_of};
@@ -38,6 +40,9 @@ pub struct Transform<'a> {
 enum PositionMap<'a> {
     Forward(PosedMap<'a>),
     Inverse(Inverse<'a>),
+    /// What a mesh draws, and beside it what that follows from.
+    #[cfg(feature = "unfold")]
+    Drawn(&'a Mesh, &'a Unfolded),
 }
 
 impl ResolvedRest {
@@ -47,14 +52,34 @@ impl ResolvedRest {
         Transform::new(PositionMap::Forward(self.field().deformation(pose)), self)
     }
 
-    /// The inverse of f. `mesh`: of the same pose and of [`ResolvedRest::to_invert`]; it decides
-    /// where several rest positions have the same posed one.
+    /// The map of a pose that was drawn: f, or what the mesh draws if folds were removed.
     #[must_use]
-    pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
-        Transform::new(
-            PositionMap::Inverse(Inverse::new(self.field(), pose, mesh)),
-            self,
-        )
+    pub fn transform_of<'a>(&'a self, pose: &'a Pose, posed: &'a PosedMesh) -> Transform<'a> {
+        #[cfg(feature = "unfold")]
+        if let Some(unfolded) = posed.unfolded() {
+            let drawn = Transform::new(PositionMap::Drawn(posed.mesh(), unfolded), self);
+            let per_position = drawn.per_position.saturating_mul(unfolded.factors());
+            return Transform {
+                per_position,
+                ..drawn
+            };
+        }
+        let _ = posed;
+        self.transform(pose)
+    }
+
+    /// The inverse of f. `posed`: of the same pose and of [`ResolvedRest::to_invert`]; its mesh
+    /// decides where several rest positions have the same posed one. If folds were removed, what is
+    /// drawn.
+    #[must_use]
+    pub fn inverse<'a>(&'a self, pose: &'a Pose, posed: &'a PosedMesh) -> Transform<'a> {
+        let mesh = posed.mesh();
+        let inverse = if posed.is_unfolded() {
+            Inverse::of_mesh(mesh)
+        } else {
+            Inverse::new(self.field(), pose, mesh)
+        };
+        Transform::new(PositionMap::Inverse(inverse), self)
     }
 }
 
@@ -124,6 +149,8 @@ impl<'a> Transform<'a> {
     const fn frames(&self) -> (&CoordinateFrame, &CoordinateFrame) {
         match self.map {
             PositionMap::Forward(_) => (&self.rest, &self.posed),
+            #[cfg(feature = "unfold")]
+            PositionMap::Drawn(..) => (&self.rest, &self.posed),
             PositionMap::Inverse(_) => (&self.posed, &self.rest),
         }
     }
@@ -166,6 +193,8 @@ impl<'a> Transform<'a> {
                 work::at_most(Task::Positions, self.max_work, taken)?;
                 inverse.map(places, cancelled)
             }
+            #[cfg(feature = "unfold")]
+            PositionMap::Drawn(mesh, unfolded) => map_drawn(mesh, unfolded, places, cancelled),
         };
         mapped.ok_or(WarpError::Cancelled)
     }
@@ -200,4 +229,28 @@ impl<'a> Transform<'a> {
         };
         places.iter().enumerate().map(to_px).collect()
     }
+}
+
+/// `None` when cancelled.
+#[cfg(feature = "unfold")]
+fn map_drawn(
+    mesh: &Mesh,
+    unfolded: &Unfolded,
+    places: &[Point],
+    cancelled: IsCancelled<'_>,
+) -> Option<Vec<Option<Point>>> {
+    let mut mapped: Vec<Option<Point>> = places.iter().map(|v| mesh.map(*v)).collect();
+    let of_outside = places
+        .iter()
+        .zip(&mapped)
+        .filter(|(_, mapped)| mapped.is_none());
+    let outside: Vec<Point> = of_outside.map(|(place, _)| *place).collect();
+    if !outside.is_empty() {
+        let beyond = unfolded.map_outside(&outside, cancelled)?;
+        let missing = mapped.iter_mut().filter(|mapped| mapped.is_none());
+        missing
+            .zip(beyond)
+            .for_each(|(mapped, beyond)| *mapped = Some(beyond));
+    }
+    Some(mapped)
 }

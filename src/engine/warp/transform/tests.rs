@@ -145,7 +145,7 @@ fn the_inverse_of_a_mapped_outline_is_the_outline() {
         NEVER,
     )
     .unwrap();
-    let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
+    let (f, back) = (setup.transform(&pose), setup.inverse(&pose, &posed));
     let places = square(30.0, 170.0);
     let there = f
         .map_outlines(
@@ -241,10 +241,7 @@ fn the_inverse_is_found_whatever_size_the_cells_have() {
             .into_iter()
             .flatten()
             .collect();
-        let back = setup
-            .inverse(&pose, posed.mesh())
-            .map(&there, NEVER)
-            .unwrap();
+        let back = setup.inverse(&pose, &posed).map(&there, NEVER).unwrap();
         for (place, back) in places.iter().zip(back) {
             assert!(
                 back.is_some_and(|back| back.distance(*place) < 1e-6),

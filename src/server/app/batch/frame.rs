@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Handle, IsCancelled, Pose};
 use mlswarp::render::{Canvas, Outside};
 use mlswarp::warp::{
-    CanvasSpec, CompiledRest, CoordinateFrame as PictureFrame, Folds, Holes, OutputSpec, Warning,
+    CanvasSpec, CompiledRest, CoordinateFrame as PictureFrame, Folds, Holes, OutputSpec, PosedMesh,
+    Warning,
 };
 use serde_json::json;
 
@@ -168,7 +169,7 @@ impl BatchJob {
             &self.app.plans.limits,
         )?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
-        let may_be_refused = is_fit || self.record.folds == Folds::Reject;
+        let may_be_refused = is_fit || self.record.folds != Folds::Report;
         Ok(Survey {
             posed: 0,
             may_be_refused,
@@ -343,6 +344,26 @@ impl BatchJob {
         })
     }
 
+    /// The posed grid of a frame, if the folds of this batch are removed: it is the map.
+    fn unfolded(
+        &self,
+        pose: &Pose,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<Option<(PosedMesh, Reservation)>, Problem> {
+        let (setup, folds) = (&self.rest.setup, self.record.folds);
+        if folds != Folds::Remove {
+            return Ok(None);
+        }
+        let posed = || PosedMesh::coarse(setup, &self.plan, pose, folds, is_cancelled);
+        let drawing = &self.app.drawing;
+        let (posed, mut held) =
+            drawing.reserve_and_pose(setup, &self.quota, (folds, true), posed)?;
+        let bytes = posed.extra_bytes() + posed.factor_bytes();
+        self.app.admission.reserve_more(&mut held, bytes)?;
+        posed.keep_factors(is_cancelled)?;
+        Ok(Some((posed, held)))
+    }
+
     /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its image;
     /// with jitter, also the handles.
     fn annotate(
@@ -351,16 +372,21 @@ impl BatchJob {
         picture: PictureFrame,
         cancel: &Cancel,
     ) -> Result<Bytes, Problem> {
-        let pose = self.rest.setup.pose(q)?;
-        let transform = self.rest.setup.transform(&pose).onto(picture);
+        let (setup, is_cancelled) = (&self.rest.setup, || cancel.is_cancelled());
+        let pose = setup.pose(q)?;
         let mut reservation = self.reserve(HANDLE_TEXT * q.len() as u64)?;
+        let unfolded = self.unfolded(&pose, &is_cancelled)?;
+        let transform = match &unfolded {
+            Some((posed, _)) => setup.transform_of(&pose, posed),
+            None => setup.transform(&pose),
+        };
+        let transform = transform.onto(picture);
         let (mut cursor, mut body) = (Cursor::default(), Vec::new());
         if matches!(self.object.poses, BatchPoses::Jitter { .. }) {
             body = cancellable_json(cancel, &json!({"q": AsJson(q)}), 0)?;
             body.pop();
             cursor = Cursor::after_fields();
         }
-        let is_cancelled = || cancel.is_cancelled();
         let mut reserve = |bytes| self.app.admission.reserve_more(&mut reservation, bytes);
         while self.object.annotations.map_part(
             &mut cursor,

@@ -265,7 +265,7 @@ impl BlendJob {
             let q = job.shapes.posed(index, drawn);
             let _held = job.app.admission.reserve(
                 MemoryClass::Plan,
-                setup.posed_bytes() + setup.most_halved_bytes(),
+                setup.posed_bytes() + setup.most_extra_bytes(Folds::Report, false),
             )?;
             let (posed, sum) = threads.run_parallel(|| {
                 let pose = setup.pose(&q)?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use mlswarp::deform::IsCancelled;
-use mlswarp::warp::{Limits, RenderJob, ResolvedRest, StripScheduler, WarpError};
+use mlswarp::warp::{Folds, Limits, RenderJob, ResolvedRest, StripScheduler, WarpError};
 use tokio::sync::{mpsc, oneshot};
 
 use super::admission::Admission;
@@ -79,30 +79,31 @@ impl Drawing {
         Ok(Drawn { first, ..drawn })
     }
 
-    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most
-    /// bytes of halved cells, reserved until the pose is known, and not in the client's quota: a
-    /// client that reads slowly cannot hold them.
+    /// Poses in reserved memory; returns the reservation of the posed grid. The most bytes of
+    /// halved cells, or of removing folds, are reserved until the pose is known, and are not in the
+    /// client's quota: a client that reads slowly cannot hold them.
     pub(crate) fn reserve_and_pose<T: Send>(
         &self,
         setup: &ResolvedRest,
         quota: &ClientQuota,
-        most_halved: u64,
+        (folds, is_coarse): (Folds, bool),
         pose: impl FnOnce() -> Result<T, WarpError> + Send,
     ) -> Result<(T, Reservation), Problem> {
         let reservation =
             self.admission
                 .reserve_for(MemoryClass::Frame, quota, setup.posed_bytes())?;
-        let halved = (most_halved > 0)
-            .then(|| self.admission.reserve(MemoryClass::Frame, most_halved))
+        let most_extra = setup.most_extra_bytes(folds, is_coarse);
+        let extra = (most_extra > 0)
+            .then(|| self.admission.reserve(MemoryClass::Frame, most_extra))
             .transpose()?;
-        let posed = if setup.uses_thread_pool() {
+        let posed = if setup.uses_thread_pool() || folds == Folds::Remove {
             self.admission.pool.run_parallel(pose)
         } else {
             pose()
         };
         // Most of it was not needed.
-        if let Some(halved) = halved {
-            halved.release_unused();
+        if let Some(extra) = extra {
+            extra.release_unused();
         }
         Ok((posed?, reservation))
     }
@@ -118,17 +119,13 @@ impl Drawing {
     ) -> Result<(RenderJob, Drawn, Reservation), Problem> {
         let (began, mut timing) = (Instant::now(), job.planned.timing);
         let setup = &job.planned.setup;
-        let most_halved = if job.preview.is_some() {
-            0
-        } else {
-            setup.most_halved_bytes()
-        };
+        let kind = (job.folds, job.preview.is_some());
         let pose = || job.pose(&self.limits, is_cancelled);
         let ((posed, target), mut reservation) =
-            self.reserve_and_pose(setup, &job.quota, most_halved, pose)?;
+            self.reserve_and_pose(setup, &job.quota, kind, pose)?;
         let source = job.content.raster_source();
         let bytes =
-            posed.halved_bytes() + target.window_bytes(&posed) + source.prepared_bytes(&posed);
+            posed.extra_bytes() + target.window_bytes(&posed) + source.prepared_bytes(&posed);
         self.admission.reserve_more(&mut reservation, bytes)?;
         if source.lacks_copies(target, &posed, &job.output) {
             let began = Instant::now();

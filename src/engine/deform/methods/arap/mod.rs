@@ -66,6 +66,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     parameters: &PARAMETERS,
     has_object: true,
     interpolation: Interpolation::Always,
+    can_unfold: false,
     can_mirror: false,
     can_scale: false,
     candidates: &[],

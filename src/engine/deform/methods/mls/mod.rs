@@ -85,6 +85,7 @@ const fn info(method: Method, name: &'static str, title: &'static str) -> Method
         parameters: &PARAMETERS,
         has_object: false,
         interpolation: Interpolation::Always,
+        can_unfold: true,
         can_mirror: false,
         can_scale: false,
         candidates: &CANDIDATES,

@@ -57,6 +57,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     parameters: &PARAMETERS,
     has_object: false,
     interpolation: Interpolation::IfZero(SMOOTHING),
+    can_unfold: true,
     can_mirror: true,
     can_scale: true,
     candidates: &[
