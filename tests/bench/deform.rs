@@ -19,6 +19,7 @@ mod sets;
 use std::hint::black_box;
 
 use harness::{Report, contender, pool};
+use mlswarp::Warper;
 use mlswarp::deform::{CoefficientTable, Handle, Method, pose_without_table};
 use mlswarp::geometry::{Grid, Point};
 use mlswarp::pixmap::Extent;
@@ -99,6 +100,7 @@ fn tables() {
     }
     many(&mut report);
     annotations(&mut report);
+    unfolded(&mut report);
     levels(&mut report);
     growth(&mut report);
 }
@@ -190,6 +192,25 @@ fn annotations(report: &mut Report) {
         }),
     ];
     report.table("100,000 points, 7 handles", 7, &mut contenders);
+}
+
+/// A pose that folds: one handle among a lattice of four is pulled across the image, far (the mesh is
+/// mended) and not so far.
+fn unfolded(report: &mut Report) {
+    let corners = [[50.0, 50.0], [450.0, 50.0], [50.0, 450.0], [450.0, 450.0]];
+    let handles = |x: f64| [&corners[..], &[[x, 250.0]]].concat();
+    for (about, x) in [("nearly folds", 190.0), ("folds", 380.0)] {
+        let posed = [Folds::Report, Folds::Remove].map(|folds| {
+            let warper = Warper::builder(&handles(120.0)).folds(folds);
+            let warper = warper.build([500, 500]).expect("five points");
+            let q = handles(x);
+            contender(&format!("{folds:?}"), move || {
+                black_box(warper.pose(black_box(&q)).expect("can be posed"));
+            })
+        });
+        let title = format!("A pose that {about}: 5 handles, rigid, 500 x 500 px, cells of 5 px");
+        report.table(&title, 7, &mut Vec::from(posed));
+    }
 }
 
 /// Log-log slope in vertices and in handles: 1 is linear. All tables lie in L2 (1 MB and more on

@@ -39,7 +39,7 @@ async fn animation(server: &Server, id: &str, body: &Value) -> Response {
 
 /// The archive of a batch that must succeed, as an independent reader finds it; its index is
 /// checked against its entries.
-async fn zip(response: Response) -> (Files, Value) {
+pub(crate) async fn zip(response: Response) -> (Files, Value) {
     assert_eq!(response.status(), 200, "{:?}", response.text().await);
     assert_eq!(header(&response, "content-type"), "application/zip");
     let frames: usize = header(&response, "warp-frames").parse().unwrap();

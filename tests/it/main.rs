@@ -103,6 +103,7 @@ mod tenants;
 mod tls;
 mod tokens;
 mod traces;
+mod unfold;
 mod unread;
 mod warnings;
 mod wasm;

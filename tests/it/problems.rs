@@ -415,6 +415,11 @@ async fn the_page_shows_what_is_said() {
             json!({"p": six, "q": six, "alpha": 9}),
         ),
         (
+            "unreachable",
+            json!({"p": [[[1, 1], [15, 1]], [[1, 9], [15, 9]]],
+                "q": [[[1, 1], [15, 9]], [[1, 9], [15, 1]]], "folds": "remove"}),
+        ),
+        (
             "nothing_visible",
             json!({"p": [[2, 6], [14, 6]], "q": [[5, 5], [5, 5]], "method": "similarity",
                 "output": {"canvas": "fit"}}),

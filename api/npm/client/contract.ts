@@ -202,11 +202,19 @@ export type Grid = "auto" | "pixel" | {
 };
 
 /**
- * If the posed grid folds: render it and count the cells, or reject the request (422
- * `folded`). A fold is a cell whose orientation differs from that of most of the image; an
- * exact mirror image has none.
+ * If the posed grid folds: render it and count the cells (`report`), reject the request (422
+ * `folded`), or `remove` the folds: then another map without folds takes the handles to the
+ * same places, and the whole of the image follows it. Where nothing folds, and nothing
+ * nearly folds, `remove` is the same as `report`, to the bit. `remove` is for `rigid`,
+ * `similarity`, `affine`, and `tps` without `smoothing`, with the metric `euclidean` (else
+ * 422 `not_supported`). The map in the image is then what the grid draws, for `/points`,
+ * labels and the inverse too: its cells are not divided. 422 `unreachable` names handles
+ * that would have to pass through each other, or through themselves; the warning
+ * `folds_remain` counts cells that still fold. It takes some milliseconds to some tens of
+ * them for each pose. A fold is a cell whose orientation differs from that of most of the
+ * image; an exact mirror image has none.
  */
-export type Folds = "report" | "reject";
+export type Folds = "report" | "reject" | "remove";
 
 /**
  * The compression effort of PNG and TIFF.
@@ -1285,7 +1293,7 @@ export type Problem = {
   title: string;
   status: number;
   detail: string;
-  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "outside_mask" | "empty_mask" | "too_many_vertices" | "no_table" | "folded" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
+  code: "malformed_request" | "unauthorized" | "token_expired" | "forbidden" | "not_found" | "no_such_session" | "no_such_layer" | "method_not_allowed" | "not_acceptable" | "timeout" | "superseded" | "session_expired" | "too_large" | "unsupported_media_type" | "unsupported_format" | "misdirected" | "bad_image" | "bad_landmarks" | "nothing_visible" | "not_supported" | "unknown_field" | "bad_value" | "not_finite" | "shape_mismatch" | "contradictory_handles" | "degenerate_line" | "alpha_out_of_range" | "outside_mask" | "empty_mask" | "too_many_vertices" | "no_table" | "folded" | "unreachable" | "upgrade_required" | "rate_limited" | "internal" | "overloaded" | "unavailable" | "stored_by_another_version";
   /**
    * JSON pointer (RFC 6901) into the JSON of the request: the body, or the part `warp`.
    */
@@ -1329,6 +1337,11 @@ export type Problem = {
    * With `superseded`: the highest `seq` that the session has seen.
    */
   newest?: number;
+  /**
+   * With `unreachable`: indices of handles that no map without folds takes to their targets,
+   * the first 100.
+   */
+  handles?: number[];
   /**
    * With `contradictory_handles`: the groups of handles that contradict each other.
    */

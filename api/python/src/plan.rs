@@ -3,7 +3,7 @@
 use mlswarp::Warper;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Jitter, Limits, RestSpec, WarpError};
+use mlswarp::warp::{Folds, Jitter, Limits, RestSpec, WarpError};
 use mlswarp_contract::problem::{Code, Problem};
 use mlswarp_contract::wire::{AsJson, DragObject, PosePatch, Reserved, WarpObject, WarpPatch};
 use pyo3::prelude::*;
@@ -85,25 +85,25 @@ impl Plan {
         text.map_err(|problem| crate::error::exception(py, &problem))
     }
 
-    /// `pose`: `q` and `strength`, as JSON. `reject`: whether folds are an error.
-    fn pose(&self, py: Python<'_>, pose: &[u8], reject: bool) -> PyResult<Pose> {
+    /// `pose`: `q` and `strength`, as JSON. `folds`: what becomes of them.
+    fn pose(&self, py: Python<'_>, pose: &[u8], folds: &str) -> PyResult<Pose> {
+        let folds = folds_of(folds);
         let (warper, at_rest, json) = (self.warper.clone(), self.rest.p.len(), pose.to_vec());
         run(py, move |cancel| {
             let (q, strength) = read_pose(&json, at_rest)?.ok_or_else(|| missing(at_rest))?;
-            let posed = warper.cancelled_by(cancel).pose_at(&q, strength)?;
-            match posed.report().folds {
-                cells if reject && cells > 0 => Err(WarpError::Folded { cells }.into()),
-                _ => Ok(Pose::new(posed)),
-            }
+            let warper = warper.with_folds(folds)?.cancelled_by(cancel);
+            Ok(Pose::new(warper.pose_at(&q, strength)?))
         })
     }
 
     /// The pose of handles that were aligned and moved to their strength before: `Pose.q`.
-    fn settled(&self, py: Python<'_>, pose: &[u8]) -> PyResult<Pose> {
+    fn settled(&self, py: Python<'_>, pose: &[u8], folds: &str) -> PyResult<Pose> {
         let (warper, at_rest, json) = (self.warper.clone(), self.rest.p.len(), pose.to_vec());
+        let folds = folds_of(folds);
         run(py, move |cancel| {
             let (q, _) = read_pose(&json, at_rest)?.ok_or_else(|| missing(at_rest))?;
-            Ok(Pose::new(warper.cancelled_by(cancel).pose_settled(q)?))
+            let warper = warper.with_folds(folds)?.cancelled_by(cancel);
+            Ok(Pose::new(warper.pose_settled(q)?))
         })
     }
 
@@ -125,6 +125,14 @@ impl Plan {
                 warper.pose_jittered(&q, strength, jitter, frame)?,
             ))
         })
+    }
+}
+
+fn folds_of(name: &str) -> Folds {
+    match name {
+        "reject" => Folds::Reject,
+        "remove" => Folds::Remove,
+        _ => Folds::Report,
     }
 }
 

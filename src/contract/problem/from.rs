@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 
 use super::{Code, Problem, sentences};
 
+/// Handles that a problem lists.
+const MOST_HANDLES: usize = 100;
 /// Seconds after which cancelled work may be requested again.
 const RETRY_CANCELLED: u32 = 1;
 
@@ -89,7 +91,8 @@ impl From<WarpError> for Problem {
                 .pointer("/folds")
                 .actual(cells),
             WarpError::NotUnfolded => Self::new(Code::NotSupported, detail).pointer("/folds"),
-            WarpError::Unreachable { handles } => {
+            WarpError::Unreachable { mut handles } => {
+                handles.truncate(MOST_HANDLES);
                 let problem = Self::new(Code::Unreachable, detail).pointer("/q");
                 match *handles {
                     [handle] => problem.pointer(format!("/q/{handle}")).handle(handle),

@@ -154,9 +154,9 @@ pub(super) fn of_warp(error: &WarpError) -> String {
             "outside, labels are 0: `outside` with a value does not apply to them".to_owned()
         }
         WarpError::NotUnfolded => {
-            "`folds` can be `remove` with the methods `rigid`, `similarity`, \
-            `affine`, and `tps` without `smoothing`, and with the metric `euclidean`; use `report` \
-            or `reject` here"
+            "`folds` can be `remove` with the methods `rigid`, `similarity`, `affine`, and `tps` \
+                without `smoothing`, and with the metric `euclidean`, by the service and the \
+                Python package; use `report` or `reject` here"
                 .to_owned()
         }
         WarpError::Unreachable { .. } => {

@@ -31,6 +31,8 @@ const CELL_MARGIN_PX: f64 = 1.0;
 const MOST_CELLS: usize = 32;
 /// Those of a cut grid have a few pixels.
 const MOST_SMALL_CELLS: usize = 128;
+/// Rounding errors at the border of a patch, as a share of its side.
+const PATCH_ERROR: f64 = 1e-9;
 /// Rounding errors at the border of the picture, px.
 const BORDER_ERROR_PX: f64 = 1e-6;
 
@@ -161,16 +163,33 @@ impl<'a> Inverse<'a> {
         Some(f.map_block(x, &mut search.workspace))
     }
 
-    /// The positions in the patches of the cells that are drawn last.
-    fn in_patches(&self, starts: &[Vec<Start>]) -> Vec<Option<Point>> {
-        let found = |starts: &Vec<Start>| {
-            let mut inside = starts.iter().filter(|start| start.is_inside);
-            inside.find_map(|start| self.within(start.x, start))
+    /// The positions in the patches of the cells that are drawn last, where those are the map.
+    fn in_patches(&self, posed: &[Point]) -> Vec<Option<Point>> {
+        let mut cells = Vec::new();
+        let mut find = |y: &Point| {
+            self.tree.find(*y, 0.0, &mut cells);
+            let found = cells.iter().filter_map(|cell| {
+                let [i, j] = self.column_and_row(*cell);
+                let corners = self.mesh.corners(i, j).next()?;
+                let [s, t] = in_patch(corners, *y)?;
+                let (from, to) = (
+                    self.mesh.grid().vertex(i, j),
+                    self.mesh.grid().vertex(i + 1, j + 1),
+                );
+                let at = |a: f64, b: f64, share: f64| a + (b - a) * share;
+                let place = Point::new(at(from.x, to.x, s), at(from.y, to.y, t));
+                Some((self.mesh.rank(i, j, 0), *cell, place))
+            });
+            let drawn = found.max_by_key(|(rank, cell, _)| (*rank, *cell));
+            drawn.map(|(.., place)| place)
         };
-        starts.iter().map(found).collect()
+        posed.iter().map(&mut find).collect()
     }
 
     fn block(&self, posed: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Option<Point>>> {
+        if self.f.is_none() {
+            return (!(search.cancelled)()).then(|| self.in_patches(posed));
+        }
         let mut cells = Vec::new();
         let starts: Vec<Vec<Start>> = posed
             .iter()
@@ -190,9 +209,6 @@ impl<'a> Inverse<'a> {
                 starts
             })
             .collect();
-        if self.f.is_none() {
-            return (!(search.cancelled)()).then(|| self.in_patches(&starts));
-        }
         let mut found = vec![None; posed.len()];
         for attempt in 0.. {
             let at = |k: usize| starts[k].get(attempt).filter(|_| found[k].is_none());
@@ -377,6 +393,24 @@ impl<'a> Inverse<'a> {
         });
         (is_drawn && beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
     }
+}
+
+/// Where a position lies in a patch, as shares of its sides: a root of a quadratic.
+fn in_patch([a, b, d, c]: [Point; 4], y: Point) -> Option<[f64; 2]> {
+    let (h, e, f) = (y - a, b - a, c - a);
+    let twist = (d - b) - f;
+    let [c0, c1, c2] = [h.cross(e), h.cross(twist) - f.cross(e), -f.cross(twist)];
+    // The sum of terms of one sign loses nothing.
+    let sum = -0.5 * (c1 + (c1 * c1 - 4.0 * c2 * c0).max(0.0).sqrt().copysign(c1));
+    let shares = [c0 / sum, sum / c2].map(|t| {
+        let across = e + twist * t;
+        [(h - f * t).dot(across) / across.norm2(), t]
+    });
+    let beyond = |[s, t]: &[f64; 2]| (s - 0.5).abs().max((t - 0.5).abs()) - 0.5;
+    let is_inside = |shares: &[f64; 2]| beyond(shares) <= PATCH_ERROR;
+    let inside = shares.into_iter().filter(is_inside);
+    let nearest = inside.min_by(|one, other| beyond(one).total_cmp(&beyond(other)))?;
+    Some(nearest.map(|share| share.clamp(0.0, 1.0)))
 }
 
 #[cfg(test)]

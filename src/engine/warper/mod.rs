@@ -65,6 +65,7 @@ impl TryFrom<[u32; 2]> for Extent {
 #[derive(Clone, Debug)]
 pub struct Warper {
     inner: Arc<Inner>,
+    folds: Folds,
     cancel: Cancel,
 }
 
@@ -73,7 +74,6 @@ struct Inner {
     extent: Extent,
     rest: RestSpec,
     limits: Limits,
-    folds: Folds,
     resolved: ResolvedRest,
     compiled: CompiledRest,
     /// The grid on which inverses are searched.
@@ -212,7 +212,7 @@ impl Warper {
                 &inner.resolved,
                 &inner.compiled,
                 &pose,
-                inner.folds,
+                self.folds,
                 cancelled,
             )
         })?;
@@ -225,6 +225,16 @@ impl Warper {
     pub fn cancelled_by(mut self, cancel: &Cancel) -> Self {
         self.cancel = cancel.clone();
         self
+    }
+
+    /// The same, with another treatment of folds.
+    ///
+    /// # Errors
+    /// A method or metric whose folds cannot be removed; too much work.
+    pub fn with_folds(self, folds: Folds) -> Result<Self, WarpError> {
+        self.inner.rest.check_folds(folds)?;
+        self.inner.resolved.check_folds(folds)?;
+        Ok(Self { folds, ..self })
     }
 
     /// The size of the image.
@@ -402,13 +412,13 @@ impl WarperBuilder {
             extent,
             rest,
             limits,
-            folds,
             resolved,
             compiled,
             to_invert: OnceLock::new(),
         };
         Ok(Warper {
             inner: Arc::new(inner),
+            folds,
             cancel,
         })
     }

@@ -151,17 +151,19 @@ class Plan:
         q: Handles,
         *,
         strength: float = 1.0,
-        folds: Literal["report", "reject"] = "report",
+        folds: Literal["report", "reject", "remove"] = "report",
     ) -> Pose:
         """The mesh of posed handles, as many and of the same kinds as those at rest.
 
-        `strength`: 0 is at rest, 1 is `q`, 2 is twice as far. `folds`: whether a pose that folds
-        over itself is a `FoldedError`; otherwise `Pose.folds` counts the cells.
+        `strength`: 0 is at rest, 1 is `q`, 2 is twice as far. `folds`: a pose that folds
+        over itself is a `FoldedError` with "reject", and with "remove" another map without folds
+        takes the handles to the same places. `Pose.folds` counts the cells that fold.
         """
-        if folds not in ("report", "reject"):
-            raise InvalidWarp(f"expected 'report' or 'reject'; found {folds!r}", pointer="/folds")
+        if folds not in ("report", "reject", "remove"):
+            expected = "'report', 'reject' or 'remove'"
+            raise InvalidWarp(f"expected {expected}; found {folds!r}", pointer="/folds")
         request = to_json({"q": json_handles(q, "q"), "strength": float(strength)})
-        return Pose._of(self, self._live().pose(request, folds == "reject"))
+        return Pose._of(self, self._live().pose(request, folds), folds)
 
     def jitter(
         self,

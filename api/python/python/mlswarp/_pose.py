@@ -63,29 +63,32 @@ class Pose:
     Made by `Plan.pose` and `Plan.jitter`. Immutable, for all threads, and picklable.
     """
 
-    __slots__ = ("_native", "_plan", "_process")
+    __slots__ = ("_folds", "_native", "_plan", "_process")
 
     _plan: Plan
     _native: _engine.Pose
+    _folds: str
     _process: int
 
     def __init__(self) -> None:
         raise TypeError("a pose is made by Plan.pose")
 
     @classmethod
-    def _of(cls, plan: Plan, native: _engine.Pose) -> Pose:
+    def _of(cls, plan: Plan, native: _engine.Pose, folds: str = "report") -> Pose:
         pose = cls.__new__(cls)
         pose._plan = plan
         pose._native = native
+        pose._folds = folds
         pose._process = os.getpid()
         return pose
 
     @classmethod
-    def _restored(cls, plan: Plan, q: str) -> Pose:
-        return cls._of(plan, plan._live().settled(f'{{"q":{q}}}'.encode()))
+    def _restored(cls, plan: Plan, q: str, folds: str) -> Pose:
+        native = plan._live().settled(f'{{"q":{q}}}'.encode(), folds)
+        return cls._of(plan, native, folds)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Pose._restored, (self._plan, self._native.q)
+        return Pose._restored, (self._plan, self._native.q, self._folds)
 
     def __repr__(self) -> str:
         return f"<mlswarp.Pose of {self._plan!r}, {self.folds} folded cells>"
@@ -93,7 +96,7 @@ class Pose:
     def _live(self) -> _engine.Pose:
         # As of `Plan._live`.
         if self._process != os.getpid():
-            self._native = Pose._restored(self._plan, self._native.q)._native
+            self._native = Pose._restored(self._plan, self._native.q, self._folds)._native
             self._process = os.getpid()
         return self._native
 
