@@ -412,6 +412,19 @@ export const mayTwist = (document) => hasFocus(document) && alphaOf(document) >=
  */
 export const metricOf = (document) =>
   (hasFocus(document) ? document.metric : undefined) ?? "euclidean";
+/**
+ * Whether folds can be removed: by methods that take handles to their targets in the plane.
+ * @type {(document: Page.Document) => boolean}
+ */
+export const canUnfold = (document) =>
+  metricOf(document) === "euclidean" &&
+  (hasFocus(document) || (has(document, "smoothing") && !document.smoothing));
+/**
+ * What becomes of folds, once that was chosen: a session keeps what it is not told.
+ * @type {(document: Page.Document) => Pick<Page.Rest, "folds">}
+ */
+const foldsIn = (document) =>
+  document.folds ? { folds: canUnfold(document) ? document.folds : "report" } : {};
 /** The share of full alpha above which a pixel belongs to the inside, if none is chosen. */
 const THRESHOLD = 0.5;
 /** @type {(document: Page.Document) => number} */
@@ -513,6 +526,7 @@ export function restOf(document) {
     ...parameters,
     coincident: document.coincident ?? MEAN,
     grid: infoOf(document).mesh ? "auto" : typeof grid === "number" ? { cell: grid } : grid,
+    ...foldsIn(document),
     output,
   };
 }
@@ -598,7 +612,7 @@ export function swapped({ full: _, strength: __, align, ...document }) {
  * @returns {Page.Warp}
  */
 export function warpOf(document) {
-  const { alpha, output, point_mass, smoothing, coincident, metric, mask, ...rest } =
+  const { alpha, output, point_mass, smoothing, coincident, metric, mask, folds, ...rest } =
     restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
@@ -610,6 +624,7 @@ export function warpOf(document) {
     ...(smoothing && { smoothing }),
     ...(mask && { metric, ...(mask.threshold !== THRESHOLD && { mask }) }),
     ...(document.coincident && { coincident }),
+    ...(folds === "remove" && { folds }),
   };
   const names = /** @type {(keyof typeof output)[]} */ (Object.keys(output));
   const told = names.filter((name) => output[name] !== USUAL[name]);
@@ -633,6 +648,7 @@ export function sameRest(object, document) {
     smoothing,
     coincident,
     grid,
+    folds,
     output,
     point_mass: mass,
     metric,
@@ -654,6 +670,7 @@ export function sameRest(object, document) {
     [ownKnown(object, document), ownOf(document)],
     [object.coincident_policy ?? MEAN, coincident],
     [object.grid.requested, grid],
+    [object.folds === "remove", folds === "remove"],
     ...names.map((name) => /** @type {[unknown, unknown]} */ ([object.output[name], output[name]])),
   ];
   // The server reports the mass of sets with points and segments only.

@@ -235,6 +235,7 @@ export function documentFrom(warp) {
     mask: inside,
     coincident,
     grid = "auto",
+    folds,
   } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(
@@ -381,6 +382,7 @@ export function documentFrom(warp) {
     metric,
     ...(threshold !== undefined && { threshold }),
     ...((policy !== "mean" || within) && { coincident: { policy, within } }),
+    ...(folds === "remove" && { folds }),
     grid: cell,
     outside,
     filter,

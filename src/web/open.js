@@ -632,6 +632,7 @@ function warpOfSession(object) {
     coincident_policy: coincident,
     units,
     grid,
+    folds,
     output,
   } = object;
   const warp = {
@@ -647,6 +648,7 @@ function warpOfSession(object) {
     coincident,
     units,
     grid: grid.requested,
+    folds,
     output,
   };
   const usual = documentOf(warp);

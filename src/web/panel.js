@@ -6,6 +6,7 @@ import { METRIC_PICTURES, methodPicture, offer } from "./choices.js";
 import { find, findAll, listen, text } from "./dom.js";
 import {
   alphaOf,
+  canUnfold,
   filterOf,
   hasFocus,
   hasPinsOnly,
@@ -174,6 +175,9 @@ export class Panel {
       this.#set({ grid: value === "auto" ? "auto" : JSON.parse(value) }),
     );
     listen("alpha", "input", ({ value }) => this.#set({ alpha: Number(value) }, "alpha"));
+    listen("remove-folds", "change", ({ checked }) =>
+      this.#set({ folds: checked ? "remove" : "report" }),
+    );
     listen("alpha-auto", "change", ({ checked }) =>
       this.#set({ alpha: checked ? null : alphaOf(state().document) }),
     );
@@ -515,7 +519,11 @@ export class Panel {
   /** Shows the figures of the last response. */
   #drawPicture() {
     const { shown, session } = this.sync;
+    const edited = this.store.state.document;
     text("folds-note", foldWords(shown.folds));
+    const isRemoved = edited.folds === "remove";
+    find("remove-folds-label").hidden = !canUnfold(edited) || !(shown.folds || isRemoved);
+    find("remove-folds").checked = isRemoved;
     find("folds").hidden = !shown.folds;
     text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"}`);
     const grid = session?.grid;

@@ -258,6 +258,8 @@ export class Plans {
     if (!rest || (rest.method === "tps" && rest.p.length > SPLINE)) return;
     // Inside an outline, a place of the grid may have several vertices.
     if (rest.metric === "geodesic") return;
+    // The map without folds is no sum of coefficients.
+    if (rest.folds === "remove") return;
     const { width, height, columns, rows } = session.grid;
     /** @type {(side: number) => number} */
     const along = (side) =>

@@ -95,6 +95,8 @@ declare namespace Page {
     /** null: what is usual for the picture. */
     holes?: Holes | null;
     smoothing?: number;
+    /** What becomes of folds, once that was chosen. */
+    folds?: "report" | "remove";
     /** Parameters in the object of a method, by its name. */
     own?: Record<string, Record<string, number>>;
     /** Mass of a point, px, if it is not the server's default. */
@@ -281,6 +283,7 @@ declare namespace Page {
     mask?: { threshold: number };
     coincident: NonNullable<Document["coincident"]>;
     grid: "auto" | { tolerance: number } | { cell: number };
+    folds?: "report" | "remove";
     output: { outside: Outside; filter: Filter; canvas: Canvas; holes?: Holes };
   };
   /** A complete warp object. */

@@ -62,6 +62,10 @@ const PROBLEMS = {
     "The picture has too many pieces for a puppet",
     "Choose another method, or open a smaller picture.",
   ],
+  unreachable: [
+    "No picture without folds",
+    "Handles cross or meet, so that every picture folds. Move them apart, or turn “Remove folds” off.",
+  ],
   no_such_session: [
     "The session has expired",
     "Open the picture again: the server keeps it for a limited time, and this browser has no copy.",
@@ -538,6 +542,7 @@ export const WARNINGS = {
     "Annotations are far outside the picture, or in other units than the handles.",
   nothing_visible: "The whole picture is outside the canvas.",
   mirrored: "The picture is mirrored.",
+  folds_remain: "Some folds could not be removed.",
   mask_is_everything: "The picture has no outline: handles act in every direction.",
   mirrored_use_affine:
     "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",

@@ -194,8 +194,7 @@ fn annotations(report: &mut Report) {
     report.table("100,000 points, 7 handles", 7, &mut contenders);
 }
 
-/// A pose that folds: one handle among a lattice of four is pulled across the image, far (the mesh is
-/// mended) and not so far.
+/// A handle between four others is pulled across the image: not far, and farther.
 fn unfolded(report: &mut Report) {
     let corners = [[50.0, 50.0], [450.0, 50.0], [50.0, 450.0], [450.0, 450.0]];
     let handles = |x: f64| [&corners[..], &[[x, 250.0]]].concat();

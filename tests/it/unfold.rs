@@ -112,7 +112,7 @@ async fn a_folding_pose_has_no_fold_and_positions_follow_what_is_drawn() {
             off(&json!([outside[1]]), &json!([outside[2]])) < 1.0,
             "{method} {outside:?}"
         );
-        // A map has the same positions as `/points`, and its indices begin at the centre of a pixel.
+        // A map has the positions of `/points`; its indices begin at the centre of a pixel.
         let forward = with(warp.clone(), json!({"direction": "forward"}));
         let map = server.post("/map").json(&forward).send().await.unwrap();
         let map = map.bytes().await.unwrap();

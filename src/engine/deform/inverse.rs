@@ -31,6 +31,8 @@ const CELL_MARGIN_PX: f64 = 1.0;
 const MOST_CELLS: usize = 32;
 /// Those of a cut grid have a few pixels.
 const MOST_SMALL_CELLS: usize = 128;
+/// Rounding errors of the boxes of cells, px.
+const PATCH_MARGIN_PX: f64 = 1e-3;
 /// Rounding errors at the border of a patch, as a share of its side.
 const PATCH_ERROR: f64 = 1e-9;
 /// Rounding errors at the border of the picture, px.
@@ -167,7 +169,7 @@ impl<'a> Inverse<'a> {
     fn in_patches(&self, posed: &[Point]) -> Vec<Option<Point>> {
         let mut cells = Vec::new();
         let mut find = |y: &Point| {
-            self.tree.find(*y, 0.0, &mut cells);
+            self.tree.find(*y, PATCH_MARGIN_PX, &mut cells);
             let found = cells.iter().filter_map(|cell| {
                 let [i, j] = self.column_and_row(*cell);
                 let corners = self.mesh.corners(i, j).next()?;

@@ -73,7 +73,7 @@ pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, MeshQuantity, NotTaken, Warning};
-pub use fold_free::{Factor, FoldFree, FoldFreeError, ProductWork};
+pub use fold_free::{FoldFree, FoldFreeError, ProductFactor, ProductWork};
 pub use form::CoefficientForm;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use super::{ResolvedRest, Task, WarpError, system_bytes, work};
 use crate::deform::{
-    DeformError, Factor, FoldFree, FoldFreeError, Handle, IsCancelled, Pose, ProductWork,
+    DeformError, FoldFree, FoldFreeError, Handle, IsCancelled, Pose, ProductFactor, ProductWork,
 };
 use crate::geometry::{Grid, Mesh, Point, untangle};
 
@@ -20,7 +20,7 @@ const TARGETS_PER_CELL: f64 = 2.0;
 pub(super) struct Unfolded {
     product: FoldFree,
     /// Its factors, once they are needed.
-    factors: OnceLock<Vec<Factor>>,
+    factors: OnceLock<Vec<ProductFactor>>,
     /// Of the linear systems of all factors, bytes.
     system_bytes: u64,
 }

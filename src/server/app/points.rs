@@ -302,19 +302,14 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
         let mut unfolded = None;
         let target = match drawn {
             Some(drawn) => {
-                let pose = || PosedMesh::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
-                let (posed, mut held) =
-                    drawing.reserve_and_pose(&setup, &quota, (folds, false), pose)?;
+                let (of, kind) = ((&**setup, &**drawn.plan), (folds, false));
+                let posed = drawing.pose_to_map(of, &quota, kind, &pose, &is_cancelled);
+                let (posed, held) = posed?;
                 let region = region.as_ref().and_then(DrawnContent::region).cloned();
                 let posed = region.into_iter().fold(posed, PosedMesh::within);
                 let (source, limits) = (setup.source(), &drawing.limits);
                 let target = output.target(source, &posed, limits, &is_cancelled)?;
-                if posed.is_unfolded() {
-                    let bytes = posed.extra_bytes() + posed.factor_bytes();
-                    drawing.admission.reserve_more(&mut held, bytes)?;
-                    posed.keep_factors(&is_cancelled)?;
-                    unfolded = Some((posed, held));
-                }
+                unfolded = posed.is_unfolded().then_some((posed, held));
                 target
             }
             None => match output.target_before_pose(setup.source(), &drawing.limits)? {

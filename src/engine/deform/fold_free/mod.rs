@@ -109,7 +109,7 @@ pub struct FoldFree {
 }
 
 /// A map whose handles at rest are those that the one before has posed.
-pub type Factor = (RestDeformation, Pose);
+pub type ProductFactor = (RestDeformation, Pose);
 
 impl FoldFree {
     /// The map of a pose; `None` if the plain f has no folds. `rest`: of a method that meets its
@@ -291,7 +291,7 @@ impl FoldFree {
         COLUMN_BYTES * (self.rest.handles().columns() * self.count()) as u64
     }
 
-    fn factor(&self, step: usize, cancelled: IsCancelled<'_>) -> Option<Factor> {
+    fn factor(&self, step: usize, cancelled: IsCancelled<'_>) -> Option<ProductFactor> {
         let p = self.rest.handles().handles();
         let [now, next] = [step, step + 1].map(|step| handles_like(p, &self.steps[step]));
         // That these handles can be taken to the next ones was seen when they were found.
@@ -303,7 +303,7 @@ impl FoldFree {
     /// The maps whose product this is, for many calls of [`FoldFree::map_by`]. `None` when
     /// cancelled.
     #[must_use]
-    pub fn factors(&self, cancelled: IsCancelled<'_>) -> Option<Vec<Factor>> {
+    pub fn factors(&self, cancelled: IsCancelled<'_>) -> Option<Vec<ProductFactor>> {
         let factor = |step| self.factor(step, cancelled);
         (0..self.count()).map(factor).collect()
     }
@@ -313,7 +313,7 @@ impl FoldFree {
     #[must_use]
     pub fn map_by(
         &self,
-        factors: &[Factor],
+        factors: &[ProductFactor],
         places: &[Point],
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<Point>> {

@@ -5,11 +5,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::deform::{Handle, IsCancelled, Pose};
+use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
 use mlswarp::warp::{
-    CanvasSpec, CompiledRest, CoordinateFrame as PictureFrame, Folds, Holes, OutputSpec, PosedMesh,
-    Warning,
+    CanvasSpec, CompiledRest, CoordinateFrame as PictureFrame, Folds, Holes, OutputSpec, Warning,
 };
 use serde_json::json;
 
@@ -344,26 +343,6 @@ impl BatchJob {
         })
     }
 
-    /// The posed grid of a frame, if the folds of this batch are removed: it is the map.
-    fn unfolded(
-        &self,
-        pose: &Pose,
-        is_cancelled: IsCancelled<'_>,
-    ) -> Result<Option<(PosedMesh, Reservation)>, Problem> {
-        let (setup, folds) = (&self.rest.setup, self.record.folds);
-        if folds != Folds::Remove {
-            return Ok(None);
-        }
-        let posed = || PosedMesh::coarse(setup, &self.plan, pose, folds, is_cancelled);
-        let drawing = &self.app.drawing;
-        let (posed, mut held) =
-            drawing.reserve_and_pose(setup, &self.quota, (folds, true), posed)?;
-        let bytes = posed.extra_bytes() + posed.factor_bytes();
-        self.app.admission.reserve_more(&mut held, bytes)?;
-        posed.keep_factors(is_cancelled)?;
-        Ok(Some((posed, held)))
-    }
-
     /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its image;
     /// with jitter, also the handles.
     fn annotate(
@@ -375,7 +354,14 @@ impl BatchJob {
         let (setup, is_cancelled) = (&self.rest.setup, || cancel.is_cancelled());
         let pose = setup.pose(q)?;
         let mut reservation = self.reserve(HANDLE_TEXT * q.len() as u64)?;
-        let unfolded = self.unfolded(&pose, &is_cancelled)?;
+        let kind = (self.record.folds, true);
+        let pose_to_map = |_| {
+            let (drawing, of) = (&self.app.drawing, (&***setup, &**self.plan));
+            drawing.pose_to_map(of, &self.quota, kind, &pose, &is_cancelled)
+        };
+        // Where folds are removed, the posed grid is the map.
+        let removes = (kind.0 == Folds::Remove).then_some(());
+        let unfolded = removes.map(pose_to_map).transpose()?;
         let transform = match &unfolded {
             Some((posed, _)) => setup.transform_of(&pose, posed),
             None => setup.transform(&pose),

@@ -4,8 +4,10 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-use mlswarp::deform::IsCancelled;
-use mlswarp::warp::{Folds, Limits, RenderJob, ResolvedRest, StripScheduler, WarpError};
+use mlswarp::deform::{IsCancelled, Pose};
+use mlswarp::warp::{
+    CompiledRest, Folds, Limits, PosedMesh, RenderJob, ResolvedRest, StripScheduler, WarpError,
+};
 use tokio::sync::{mpsc, oneshot};
 
 use super::admission::Admission;
@@ -106,6 +108,30 @@ impl Drawing {
             extra.release_unused();
         }
         Ok((posed?, reservation))
+    }
+
+    /// As [`Drawing::reserve_and_pose`], to map many positions where folds are removed.
+    pub(crate) fn pose_to_map(
+        &self,
+        (setup, plan): (&ResolvedRest, &CompiledRest),
+        quota: &ClientQuota,
+        (folds, is_coarse): (Folds, bool),
+        pose: &Pose,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<(PosedMesh, Reservation), Problem> {
+        let pose_as = if is_coarse {
+            PosedMesh::coarse
+        } else {
+            PosedMesh::new
+        };
+        let posed = || pose_as(setup, plan, pose, folds, is_cancelled);
+        let (posed, mut held) = self.reserve_and_pose(setup, quota, (folds, is_coarse), posed)?;
+        if posed.is_unfolded() {
+            let bytes = posed.extra_bytes() + posed.factor_bytes();
+            self.admission.reserve_more(&mut held, bytes)?;
+            posed.keep_factors(is_cancelled)?;
+        }
+        Ok((posed, held))
     }
 
     /// Poses, and reserves the memory that drawing needs: what is to be drawn, and all of the
