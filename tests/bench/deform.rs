@@ -203,7 +203,7 @@ fn unfolded(report: &mut Report) {
             let warper = Warper::builder(&handles(120.0)).folds(folds);
             let warper = warper.build([500, 500]).expect("five points");
             let q = handles(x);
-            contender(&format!("{folds:?}"), move || {
+            contender(format!("{folds:?}"), move || {
                 black_box(warper.pose(black_box(&q)).expect("can be posed"));
             })
         });

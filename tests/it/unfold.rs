@@ -16,8 +16,8 @@ const P: [[f64; 2]; 5] = [
     [180.0, 140.0],
     [50.0, 80.0],
 ];
-const FAR: [f64; 2] = [150.0, 84.0];
-const NEAR: [f64; 2] = [54.0, 82.0];
+const PULLED_FAR: [f64; 2] = [150.0, 84.0];
+const PULLED_NEAR: [f64; 2] = [54.0, 82.0];
 
 fn pulled(to: [f64; 2]) -> Value {
     json!([P[0], P[1], P[2], P[3], to])
@@ -58,9 +58,9 @@ fn off(found: &Value, wanted: &Value) -> f64 {
 async fn where_nothing_folds_removing_folds_changes_no_byte() {
     let server = Server::start(&[]).await;
     for (method, to, is_same) in [
-        ("rigid", NEAR, true),
-        ("tps", NEAR, true),
-        ("rigid", FAR, false),
+        ("rigid", PULLED_NEAR, true),
+        ("tps", PULLED_NEAR, true),
+        ("rigid", PULLED_FAR, false),
     ] {
         let draw = async |folds: &str| {
             let warp = warp(to, json!({"method": method, "folds": folds}));
@@ -82,7 +82,7 @@ async fn a_folding_pose_has_no_fold_and_positions_follow_what_is_drawn() {
     let server = Server::start(&[]).await;
     let extent = json!({"extent": SIZE});
     for method in ["rigid", "similarity", "affine", "tps"] {
-        let warp = with(warp(FAR, json!({"method": method})), extent.clone());
+        let warp = with(warp(PULLED_FAR, json!({"method": method})), extent.clone());
         let report = json_of(&server, "/report", warp.clone()).await;
         assert_eq!(report["folds"]["cells"], 0, "{method} {report}");
         assert_eq!(report["round_trip"]["missing"], 0, "{method} {report}");
@@ -99,7 +99,7 @@ async fn a_folding_pose_has_no_fold_and_positions_follow_what_is_drawn() {
         .await;
         let there = &there["points"];
         assert!(
-            off(&json!([there[0], there[1]]), &json!([FAR, P[0]])) < 0.05,
+            off(&json!([there[0], there[1]]), &json!([PULLED_FAR, P[0]])) < 0.05,
             "{method} {there}"
         );
         let inverse = json!({"points": there, "inverse": true});
@@ -170,7 +170,9 @@ async fn methods_and_metrics_without_such_a_map_are_refused() {
     ] {
         let image = photo(SIZE.0, SIZE.1);
         for path in ["/warp", "/sessions"] {
-            let refused = server.upload(path, &image, &warp(NEAR, more.clone())).await;
+            let refused = server
+                .upload(path, &image, &warp(PULLED_NEAR, more.clone()))
+                .await;
             let refused = problem(refused, 422, "not_supported").await;
             assert_eq!(refused["pointer"], "/folds", "{path} {more}");
         }
@@ -178,7 +180,7 @@ async fn methods_and_metrics_without_such_a_map_are_refused() {
     // Work is refused before it is done.
     let small = Server::start(&["--max-work", "1000000"]).await;
     let body = with(
-        warp(FAR, json!({})),
+        warp(PULLED_FAR, json!({})),
         json!({"extent": SIZE, "grid": {"columns": 2, "rows": 2}}),
     );
     let refused = small.post("/report").json(&body).send().await.unwrap();
@@ -206,22 +208,24 @@ async fn a_session_keeps_it_for_every_route_and_gives_its_memory_back() {
         .await
         .unwrap();
     assert_eq!(shown["folds"], "remove");
-    let q = json!({"q": pulled(FAR)});
+    let q = json!({"q": pulled(PULLED_FAR)});
     let drawn = server.drag(&id, &q).await;
     assert_eq!(header(&drawn, "warp-folds"), "0");
     let drawn = png(drawn).await;
-    let once = server.upload("/warp", &image, &warp(FAR, json!({}))).await;
+    let once = server
+        .upload("/warp", &image, &warp(PULLED_FAR, json!({})))
+        .await;
     assert!(png(once).await == drawn);
     let points = with(q.clone(), json!({"points": [P[4], [-20, 30]]}));
     let points = json_of(&server, &of("points"), points).await;
     assert!(
-        off(&json!([points["points"][0]]), &json!([FAR])) < 0.05,
+        off(&json!([points["points"][0]]), &json!([PULLED_FAR])) < 0.05,
         "{points}"
     );
     let mesh = server.post(&of("mesh")).json(&q).send().await.unwrap();
     assert_eq!(header(&mesh, "warp-folds"), "0");
     drop(mesh);
-    let folding = json!({"frames": [{"q": P}, q.clone()], "points": [P[4]], "format": "png"});
+    let folding = json!({"frames": [{"q": P}, q.clone()], "points": [P[4]]});
     let batch = server
         .post(&of("batch"))
         .json(&folding)

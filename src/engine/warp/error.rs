@@ -486,9 +486,17 @@ impl From<CodecError> for WarpError {
 
 /// The first handles.
 fn listed(handles: &[usize]) -> String {
-    const MOST: usize = 8;
-    let first: Vec<String> = handles.iter().take(MOST).map(usize::to_string).collect();
-    let more = if handles.len() > MOST { ", ..." } else { "" };
+    const MOST_LISTED: usize = 8;
+    let first: Vec<String> = handles
+        .iter()
+        .take(MOST_LISTED)
+        .map(usize::to_string)
+        .collect();
+    let more = if handles.len() > MOST_LISTED {
+        ", ..."
+    } else {
+        ""
+    };
     first.join(", ") + more
 }
 
