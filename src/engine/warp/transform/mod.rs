@@ -14,7 +14,9 @@ use crate::parallel::prelude::*;
 use super::unfolded::Unfolded;
 use super::{CoordinateFrame, PosedMesh, ResolvedRest, Task, Units, WarpError, work};
 use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};
-use crate::geometry::{Mesh, Point};
+#[cfg(feature = "unfold")]
+use crate::geometry::Mesh;
+use crate::geometry::Point;
 pub use outlines::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, samples_of};
 
 /// Positions at which the search of an inverse computes f at once.
