@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use mlswarp::pixmap::Extent;
+
+use crate::problem::{Code, Problem};
+
 /// Most layers of a session.
 pub const MAX_LAYERS: usize = 16;
 /// Longest name of a layer, bytes.
@@ -97,6 +101,20 @@ pub enum LayerKind {
     Image,
     /// Labels: the nearest one is copied, never interpolated.
     Labels,
+}
+
+/// Checks that a layer or region has the size of its image.
+pub fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
+    if found == expected {
+        return Ok(());
+    }
+    let [found, expected] =
+        [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
+    let detail = format!(
+        "the file has {found} px after EXIF orientation; a layer or region must have the size of \
+            the picture, {expected} px"
+    );
+    Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }
 
 #[cfg(test)]

@@ -34,11 +34,12 @@ const SERVER: [(&str, &[&str]); 13] = [
     ("session", &["client"]),
     ("client", &[]),
 ];
-const CONTRACT: [(&str, &[&str]); 4] = [
+const CONTRACT: [(&str, &[&str]); 5] = [
     ("blend", &["wire", "problem"]),
-    ("wire", &["problem", "layer"]),
+    ("file", &["wire", "layer", "problem"]),
+    ("wire", &["layer", "problem"]),
+    ("layer", &["problem"]),
     ("problem", &[]),
-    ("layer", &[]),
 ];
 const ENGINE: [(&str, &[&str]); 11] = [
     (

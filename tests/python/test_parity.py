@@ -194,3 +194,13 @@ def test_a_file_that_is_no_image(server, file):
     with pytest.raises(mlswarp.BadImage) as caught:
         mlswarp.warp_file(file, {"p": [], "q": []})
     assert (caught.value.code, caught.value.detail) == (problem["code"], problem["detail"])
+
+
+@pytest.mark.parametrize("region", [b"nothing", (ROOT / "tests/images/coffee.png").read_bytes()])
+def test_a_region_that_does_not_fit(server, cat, region):
+    warp = {"p": P, "q": Q}
+    problem = json.loads(server.upload("/warp", image=cat, warp=warp, region=region)[2])
+    with pytest.raises(ValueError) as caught:
+        mlswarp.warp_file(cat, warp, region=region)
+    for name in ("code", "detail", "limit_name", "limit", "actual"):
+        assert getattr(caught.value, name) == problem.get(name), name

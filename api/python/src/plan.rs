@@ -4,8 +4,9 @@ use mlswarp::Warper;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, Jitter, Limits, RestSpec, WarpError};
+use mlswarp_contract::file::read_object;
 use mlswarp_contract::problem::{Code, Problem};
-use mlswarp_contract::wire::{AsJson, DragObject, PosePatch, Reserved, WarpObject, WarpPatch};
+use mlswarp_contract::wire::{AsJson, DragObject, PosePatch, Reserved};
 use pyo3::prelude::*;
 
 use crate::pool::run;
@@ -21,12 +22,6 @@ pub(crate) fn limits() -> Limits {
     limits.image.max_pixels = 1 << 30;
     limits.image.max_side = 1 << 17;
     limits
-}
-
-/// Reads a warp object.
-pub(crate) fn read_object(json: &[u8]) -> Result<WarpObject, Problem> {
-    let patch = Reserved::<WarpPatch, ()>::parse(json, |_| Ok(()))?;
-    patch.into_parts().0.into_object()
 }
 
 /// The size of an image.

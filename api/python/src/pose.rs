@@ -6,12 +6,13 @@ use bytes::Bytes;
 use mlswarp::PosedWarp;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{CoordinateFrame, MapDirection, OutputSpec, Units, WarpError};
+use mlswarp_contract::file::read_object;
 use mlswarp_contract::problem::Problem;
 use mlswarp_contract::wire::{Cursor, PointsObject, ReportAnswer, Reserved, WarningEntry};
 use pyo3::prelude::*;
 
 use crate::error::{exception, internal};
-use crate::plan::{handles_text, read_object};
+use crate::plan::handles_text;
 use crate::pool::run;
 use crate::values::{Values, read_image, read_labels, read_positions};
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::digest::Collector;
-use super::{Digest, Image, Region, Units};
+use super::{Digest, Image, Region, RestSpec, Units, WarpError};
 use crate::deform::{Handle, IsCancelled};
 use crate::geometry::Point;
 use crate::render::FULL_WEIGHT;
@@ -89,6 +89,29 @@ impl RestMask {
             mask: Arc::new(mask),
             digest: digest.finish(),
         })
+    }
+}
+
+impl RestSpec {
+    /// Makes the mask of an image and a region of its size, if there must be one.
+    ///
+    /// # Errors
+    /// Cancelled.
+    ///
+    /// # Panics
+    /// If the region has another size.
+    pub fn make_mask(
+        &mut self,
+        image: &Image,
+        region: Option<&Region>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(), WarpError> {
+        if self.needs_mask() {
+            let threshold = self.mask_threshold.unwrap_or(RestMask::THRESHOLD);
+            let mask = RestMask::of_image(image, region, threshold, cancelled);
+            self.mask = Some(mask.ok_or(WarpError::Cancelled)?);
+        }
+        Ok(())
     }
 }
 

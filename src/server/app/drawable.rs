@@ -188,17 +188,3 @@ pub(crate) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, Stor
         )
     })
 }
-
-/// Checks that a layer or region has the size of its image.
-pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
-    if found == expected {
-        return Ok(());
-    }
-    let [found, expected] =
-        [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
-    let detail = format!(
-        "the file has {found} px after EXIF orientation; a layer or region must have the size of \
-            the picture, {expected} px"
-    );
-    Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
-}

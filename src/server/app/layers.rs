@@ -6,13 +6,13 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::warp::RestSummary;
 
-use super::drawable::{Drawable, check_extent, find_layer};
+use super::drawable::{Drawable, find_layer};
 use super::parts::plans::HeldSetup;
 use super::session_object::ShownSession;
 use super::sessions::forget_revision;
 use super::{App, SESSION_ATTEMPTS};
 use crate::client::Client;
-use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
+use crate::layer::{LayerKind, LayerName, MAX_LAYERS, check_extent};
 use crate::limits::memory::{Budget, MemoryClass};
 use crate::pool::{Cancel, QueueKey};
 use crate::problem::words::quote;

@@ -7,14 +7,16 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Image, OutputSpec, RasterSource};
+use mlswarp_contract::file::in_part_region;
 
 use super::App;
 use super::draw::DrawJob;
-use super::drawable::{DrawnContent, check_extent};
+use super::drawable::DrawnContent;
 use super::reading::Held;
 use super::resolved::{Resolved, resolve};
 use crate::cache::{CacheEntry, CacheKey, Fetched};
 use crate::client::Client;
+use crate::layer::check_extent;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
@@ -170,12 +172,6 @@ fn in_part_warp(mut problem: Problem) -> Problem {
     if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
         problem.detail.insert_str(0, "the part `warp`: ");
     }
-    problem
-}
-
-/// Adds the name of the part.
-fn in_part_region(mut problem: Problem) -> Problem {
-    problem.detail.insert_str(0, "the part `region`: ");
     problem
 }
 

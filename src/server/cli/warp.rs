@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
     CompiledRest, Image, LabelImage, PosedMesh, RasterSource, Region, RenderJob, Report,
-    ResolvedRest, RestMask,
+    ResolvedRest,
 };
 
 use super::failure::{Failure, name_of};
@@ -16,8 +16,8 @@ use super::images::{InputFile, Inputs, Outputs, companion};
 use super::input::Limit;
 use super::options::require_quality_of_jpeg;
 use super::{input, output};
-use crate::app::drawable::check_extent;
 use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
+use crate::layer::check_extent;
 use crate::wire::landmarks::Landmarks;
 use crate::wire::{Merged, NamedObject, Reserved, WarpObject, WarpPatch};
 use crate::wire::{canvas_text, method_text};
@@ -304,9 +304,8 @@ impl WarpJob<'_> {
         }
         let located = |problem| input::located(self.merged, problem);
         let mut object = self.object.clone();
-        if let Some((image, region)) = image.filter(|_| object.rest.needs_mask()) {
-            let threshold = object.rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
-            object.rest.mask = RestMask::of_image(image, region, threshold, &|| false);
+        if let Some((image, region)) = image {
+            object.rest.make_mask(image, region, &|| false)?;
         }
         let (limits, most) = (self.config.limits(), self.config.max_fit_handles as u64);
         let setup = object

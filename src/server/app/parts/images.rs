@@ -10,12 +10,11 @@ use mlswarp::warp::{CanvasSpec, Digest, Image, ImageLimits, LabelImage, WarpErro
 use super::admission::Admission;
 use crate::app::MIN_WEIGHT;
 use crate::app::drawable::{
-    CachedFile, ContentSources, Drawable, DrawableSource, DrawnContent, Mask, check_extent,
-    find_layer,
+    CachedFile, ContentSources, Drawable, DrawableSource, DrawnContent, Mask, find_layer,
 };
 use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
 use crate::client::{Client, Owner};
-use crate::layer::{LayerKind, LayerName, LayerRef};
+use crate::layer::{LayerKind, LayerName, LayerRef, check_extent};
 use crate::limits::memory::{Budget, BudgetExceeded, MemoryClass, Reservation};
 use crate::observe::scope::in_stage;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket};

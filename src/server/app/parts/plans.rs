@@ -69,12 +69,9 @@ impl Plans {
                 let bytes = RestMask::bytes_for(image, region, threshold, &is_cancelled);
                 let bytes = bytes.ok_or(WarpError::Cancelled)?;
                 self.admission.reserve_more(&mut held, bytes)?;
-                let mask = RestMask::of_image(image, region, threshold, &is_cancelled);
-                let mask = Some(mask.ok_or(WarpError::Cancelled)?);
-                Some(RestSpec {
-                    mask,
-                    ..rest.clone()
-                })
+                let mut rest = rest.clone();
+                rest.make_mask(image, region, &is_cancelled)?;
+                Some(rest)
             }
             _ => None,
         };
