@@ -154,6 +154,39 @@ def test_a_region_is_what_moves():
     assert (POSE.warp(image, region=region.astype(np.uint8) * 255) == moved).all()
 
 
+def test_a_mask_is_where_handles_act():
+    legs = np.ones((H, W), bool)
+    legs[10:, 38:42] = False
+    inside = {"size": (W, H), "metric": "geodesic"}
+    p, q = [[20, 50], [60, 50]], [[26, 50], [60, 50]]
+    for mask in (legs, legs.astype(np.uint8) * 255, legs.astype(np.uint16) * 65535, legs.copy("F")):
+        pose = mlswarp.Plan(p, mask=mask, **inside).pose(q)
+        # What is beside the moved handle goes with it, what is across the gap stays nearly.
+        moved = pose.points([[34, 50], [46, 50]])[:, 0] - [34, 46]
+        assert moved[0] > 4 and abs(moved[1]) < 1
+    kept = legs.copy()
+    plan = mlswarp.Plan(p, mask=kept, **inside)
+    kept[:] = True
+    again = pickle.loads(pickle.dumps(plan)).pose(q)
+    assert (again.points([[46, 50]]) == pose.points([[46, 50]])).all(), "the plan has its own"
+    everything = np.ones((H, W), bool)
+    assert "mask_is_everything" in mlswarp.Plan(p, mask=everything, **inside).pose(q).warnings
+    for wrong, code in [
+        ({"mask": legs, "size": (W, H)}, "bad_value"),
+        ({"mask": legs[1:], **inside}, "bad_value"),
+        ({"mask": np.zeros((H, W, 3), np.uint8), **inside}, "unsupported_array"),
+        ({"mask": legs.astype(float), **inside}, "unsupported_array"),
+        ({"mask": ~everything, **inside}, "empty_mask"),
+        ({"method": "tps", "mask": legs, **inside}, "not_supported"),
+        ({"metric": "geodesic", "like": np.zeros((H, W, 3), np.uint8)}, "not_supported"),
+        ({"method": "arap", "size": (W, H)}, "not_supported"),
+        ({"mask_threshold": 0.5, "size": (W, H)}, "bad_value"),
+    ]:
+        with pytest.raises(mlswarp.MlswarpError) as caught:
+            mlswarp.Plan(p, **wrong)
+        assert caught.value.code == code, wrong
+
+
 @pytest.mark.parametrize(
     "dtype", [bool, np.int8, np.uint8, np.int16, ">u2", np.uint32, np.int32, np.int64, np.uint64]
 )

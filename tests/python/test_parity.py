@@ -2,6 +2,7 @@
 
 import io
 import json
+import pickle
 import zipfile
 
 import mlswarp
@@ -59,6 +60,39 @@ def test_what_follows_the_outline_of_the_image(server):
     for warp in ({"metric": "geodesic"}, {"method": "arap"}):
         warp = {"p": p, "q": q} | warp
         assert mlswarp.warp_file(image, warp) == server.upload("/warp", image=image, warp=warp)[2]
+
+
+def png(array):
+    file = io.BytesIO()
+    Image.fromarray(array).save(file, "png")
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("how", [{"metric": "geodesic", "alpha": 1.5}, {"method": "arap"}], ids=str)
+def test_a_mask_is_the_region_of_a_session(server, how):
+    """Times the alpha of its image: the same positions and the same pixels."""
+    image = np.asarray(Image.open(ROOT / "tests/images/horse-cutout.png").convert("RGBA"))
+    mask = np.full(image.shape[:2], 255, np.uint8)
+    mask[: image.shape[0] // 3] = 90
+    p, q = [[330, 215], [545, 300], [600, 120]], [[330, 215], [545, 310], [620, 110]]
+    parts = {"warp": {"p": p, "mask": {"threshold": 0.2}} | how, "region": png(mask)}
+    session = json.loads(server.upload("/sessions", image=png(image), **parts)[2])["id"]
+    plan = mlswarp.Plan(p, like=image, mask=mask, mask_threshold=0.2, **how)
+    pose = pickle.loads(pickle.dumps(plan)).pose(q)
+    assert set(pose.warnings) == set(plan.pose(q).warnings)
+    points = [[330, 215], [560.5, 280.25], [3, 3], [600, 118]]
+    for inverse in (False, True):
+        request = {"q": q, "points": points, "inverse": inverse}
+        answer = server.send("POST", f"/sessions/{session}/points", request)[2]
+        expected = [row or [np.nan] * 2 for row in json.loads(answer)["points"]]
+        np.testing.assert_array_equal(pose.points(points, inverse=inverse), expected)
+    drawn = server.send("POST", f"/sessions/{session}/warp", {"q": q})[2]
+    drawn = np.asarray(Image.open(io.BytesIO(drawn)).convert("RGBA"))
+    warped = pose.warp(image, region=mask)
+    visible = drawn[:, :, 3] > 0
+    assert ((warped == drawn).all(axis=2) | ~visible).all() and (warped[~visible, 3] == 0).all()
+    plain = mlswarp.Plan(p, like=image, metric="geodesic").pose(q)
+    assert (plain.points(points) != pose.points(points)).any(), "the mask counts"
 
 
 def test_a_method_that_is_chosen(server, cat):

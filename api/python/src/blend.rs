@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use crate::error::internal;
 use crate::plan::{handles_text, limits};
 use crate::pool::run;
-use crate::values::{Values, read_image};
+use crate::values::{Buffer, Values, read_image};
 
 /// Images with landmarks, and how they are added: the frames of a blend.
 #[pyclass(frozen, module = "mlswarp._engine")]
@@ -23,11 +23,7 @@ impl Blend {
     /// `images`: buffers with their height, width and samples; `blend`: the object of
     /// `POST /blend`, in which every image has its number and its handles.
     #[new]
-    fn new(
-        py: Python<'_>,
-        images: Vec<(Bound<'_, PyAny>, (u32, u32, usize))>,
-        blend: &[u8],
-    ) -> PyResult<Self> {
+    fn new(py: Python<'_>, images: Vec<Buffer<'_>>, blend: &[u8]) -> PyResult<Self> {
         let images = images
             .iter()
             .map(|(buffer, shape)| read_image(py, buffer, *shape));

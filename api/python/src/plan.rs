@@ -3,7 +3,7 @@
 use mlswarp::Warper;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, Jitter, Limits, RestSpec, WarpError};
+use mlswarp::warp::{Folds, Jitter, Limits, Region, RestSpec, WarpError};
 use mlswarp_contract::file::read_object;
 use mlswarp_contract::problem::{Code, Problem};
 use mlswarp_contract::wire::{AsJson, DragObject, PosePatch, Reserved};
@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 
 use crate::pool::run;
 use crate::pose::Pose;
+use crate::values::{Buffer, read_buffer};
 
 /// What computing here may take: there are no other clients. The limits for handles and tables stay
 /// those of the service.
@@ -35,6 +36,12 @@ pub(crate) fn handles_text(handles: &[Handle]) -> Result<String, Problem> {
         .map_err(|error| crate::error::internal(&error.to_string()))
 }
 
+fn no_outline() -> Problem {
+    let detail = "the metric `geodesic` and the method `arap` follow the outline of what an image \
+        shows: give the plan a mask, or an image with alpha (`like`)";
+    Problem::new(Code::NotSupported, detail).pointer("/mask")
+}
+
 /// Handles at rest on an image of one size.
 #[pyclass(frozen, module = "mlswarp._engine")]
 #[derive(Debug)]
@@ -45,10 +52,22 @@ pub(crate) struct Plan {
 
 #[pymethods]
 impl Plan {
-    /// `warp`: a warp object without a pose, as JSON. `size`: width and height.
+    /// `warp`: a warp object without a pose, as JSON. `size`: width and height. `image`: of that
+    /// size, whose alpha says where it shows something; `mask`: what belongs to its subject.
     #[new]
-    fn new(py: Python<'_>, warp: &[u8], size: [u32; 2]) -> PyResult<Self> {
-        let warp = warp.to_vec();
+    #[pyo3(signature = (warp, size, image=None, mask=None))]
+    fn new(
+        py: Python<'_>,
+        warp: &[u8],
+        size: [u32; 2],
+        image: Option<Buffer<'_>>,
+        mask: Option<Buffer<'_>>,
+    ) -> PyResult<Self> {
+        let (warp, image, mask) = (
+            warp.to_vec(),
+            read_buffer(py, image)?,
+            read_buffer(py, mask)?,
+        );
         run(py, move |cancel| {
             let object = read_object(&warp)?;
             if object.is_auto {
@@ -56,7 +75,19 @@ impl Plan {
                     choose one";
                 return Err(Problem::new(Code::BadValue, detail).pointer("/method"));
             }
-            let rest = object.rest;
+            let (mut rest, image, mask) = (object.rest, image()?, mask()?);
+            if mask.is_some() && !rest.needs_mask() {
+                return Err(WarpError::UnusedMask.into());
+            }
+            // A mask is opaque, as the image is that it belongs to.
+            match image.as_ref().or(mask.as_ref()) {
+                Some(shown) => {
+                    let region = mask.as_ref().map(Region::new);
+                    rest.make_mask(shown, region.as_ref(), &|| cancel.is_cancelled())?;
+                }
+                None if rest.needs_mask() => return Err(no_outline()),
+                None => {}
+            }
             let of_builder = rest.clone();
             let warper = Warper::builder::<Handle>(&[])
                 .with(|rest| *rest = of_builder)

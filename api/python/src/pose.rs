@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 use crate::error::{exception, internal};
 use crate::plan::handles_text;
 use crate::pool::run;
-use crate::values::{Values, read_image, read_labels, read_positions};
+use crate::values::{Buffer, Values, read_buffer, read_image, read_labels, read_positions};
 
 /// The mesh of one pose.
 #[pyclass(frozen, module = "mlswarp._engine")]
@@ -70,21 +70,17 @@ impl Pose {
         image: &Bound<'_, PyAny>,
         shape: (u32, u32, usize),
         output: &[u8],
-        region: Option<(Bound<'_, PyAny>, (u32, u32, usize))>,
+        region: Option<Buffer<'_>>,
     ) -> PyResult<Values> {
-        let image = read_image(py, image, shape)?;
-        let region = match &region {
-            Some((mask, shape)) => Some(read_image(py, mask, *shape)?),
-            None => None,
-        };
+        let (image, region) = (read_image(py, image, shape)?, read_buffer(py, region)?);
         let (posed, output) = (self.posed.clone(), output.to_vec());
         run(py, move |cancel| {
             let begun = Instant::now();
             let output = read_output(&output)?;
             let image = image()?;
             let mut posed = posed.cancelled_by(cancel);
-            if let Some(region) = region {
-                posed = posed.within(&region()?)?;
+            if let Some(region) = region()? {
+                posed = posed.within(&region)?;
             }
             let rendering = posed.render(&image)?.with(|spec| *spec = output);
             Ok(Values::of_pixels(rendering.pixels()?).since(begun))

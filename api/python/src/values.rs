@@ -155,6 +155,22 @@ pub(crate) fn read_image(
     })
 }
 
+/// A buffer with its shape.
+pub(crate) type Buffer<'py> = (Bound<'py, PyAny>, Shape);
+
+/// The image in a buffer, if there is one.
+/// Errors: Samples of another type or number.
+pub(crate) fn read_buffer(
+    py: Python<'_>,
+    buffer: Option<Buffer<'_>>,
+) -> PyResult<impl FnOnce() -> Result<Option<Image>, Problem> + Send + use<>> {
+    let image = match &buffer {
+        Some((buffer, shape)) => Some(read_image(py, buffer, *shape)?),
+        None => None,
+    };
+    Ok(move || image.map(|image| image()).transpose())
+}
+
 /// The labels in a buffer.
 /// Errors: Labels of another type or number.
 pub(crate) fn read_labels(

@@ -31,7 +31,13 @@ class Blend:
 
 @final
 class Plan:
-    def __new__(cls, warp: bytes, size: tuple[int, int]) -> Plan: ...
+    def __new__(
+        cls,
+        warp: bytes,
+        size: tuple[int, int],
+        image: tuple[Any, tuple[int, int, int]] | None = None,
+        mask: tuple[Any, tuple[int, int, int]] | None = None,
+    ) -> Plan: ...
     @property
     def alpha(self) -> float | None: ...
     @property

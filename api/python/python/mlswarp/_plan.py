@@ -6,15 +6,28 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _engine
 from ._pose import Pose
-from ._values import Handles, Image, json_handles, of_json_handles, size_of, to_json
-from .errors import InvalidWarp
+from ._values import (
+    Handles,
+    Image,
+    check_size,
+    image_array,
+    json_handles,
+    mask_array,
+    of_json_handles,
+    shape_of,
+    size_of,
+    to_json,
+)
+from .errors import InvalidWarp, UnsupportedArray
+
+_Buffer: TypeAlias = tuple[NDArray[Any], tuple[int, int, int]]
 
 _MOST_SIGMA = 10_000.0
 _MOST_FRAMES = 2**32 - 1
@@ -52,11 +65,25 @@ class Plan:
 
     `p`: points as an ``(n, 2)`` array, or a list of handles. x points right, y down, in px of the
     image, and the centre of the first pixel is (0.5, 0.5) (`from_centers` converts).
-    `size`: width and height; or `like`, an image that has them. Everything else is as in the warp
-    object of the service.
+    `size`: width and height; or `like`, an image that has them.
+
+    With `metric="geodesic"` handles act along the paths inside an outline, and `method="arap"`
+    follows it: that of `mask`, booleans or numbers of the image's size of which what is white
+    belongs to it, times the alpha of `like`; as a session's layer `region`, times the alpha of its
+    image. `mask_threshold`: the share above which a pixel is inside, one half if not given. Give
+    `Pose.warp` the mask as its `region` too if the rest of the image shall stay.
+
+    Everything else is as in the warp object of the service.
+
+    >>> import numpy as np
+    >>> legs = np.ones((40, 60), bool)
+    >>> legs[10:, 28:32] = False
+    >>> plan = Plan([[14, 35], [46, 35]], size=(60, 40), metric="geodesic", mask=legs)
+    >>> plan.pose([[20, 35], [46, 35]]).points([[46, 35]])
+    array([[46., 35.]])
     """
 
-    __slots__ = ("_json", "_native", "_process", "_size", "_method")
+    __slots__ = ("_json", "_native", "_outline", "_process", "_size", "_method")
 
     def __init__(
         self,
@@ -65,7 +92,7 @@ class Plan:
         size: tuple[int, int] | None = None,
         like: Image | None = None,
         method: Literal[
-            "rigid", "similarity", "affine", "tps", "beier_neely", "global_affine"
+            "rigid", "similarity", "affine", "tps", "beier_neely", "arap", "global_affine"
         ] = "rigid",
         alpha: float | None = None,
         weights: ArrayLike | None = None,
@@ -76,6 +103,9 @@ class Plan:
         tolerance: float | None = None,
         align: Literal["none", "rigid", "similarity", "affine"] = "none",
         coincident: Mapping[str, Any] | None = None,
+        metric: Literal["euclidean", "geodesic"] = "euclidean",
+        mask: Image | None = None,
+        mask_threshold: float | None = None,
         **more: Any,
     ) -> None:
         if (size is None) == (like is None):
@@ -92,28 +122,38 @@ class Plan:
             "grid": None if tolerance is None else {"tolerance": tolerance},
             "align": align,
             "coincident": coincident,
+            "metric": metric,
+            "mask": None if mask_threshold is None else {"threshold": mask_threshold},
             **more,
         }
         given = {name: value for name, value in warp.items() if value is not None}
-        self._settle(to_json(given), size_of(like) if size is None else _size(size))
-        self._native = _engine.Plan(self._json, self._size)
-        self._process = os.getpid()
+        extent = size_of(like) if size is None else _size(size)
+        follows = metric == "geodesic" or method == "arap"
+        alpha_of_like = _alpha_of(like) if follows and like is not None else None
+        inside = None if mask is None else _inside(mask, extent)
+        self._settle(to_json(given), extent, (_buffer(alpha_of_like), _buffer(inside)))
 
-    def _settle(self, warp: bytes, size: tuple[int, int]) -> None:
+    def _settle(
+        self, warp: bytes, size: tuple[int, int], outline: tuple[_Buffer | None, _Buffer | None]
+    ) -> None:
         self._json = warp
         self._size = size
+        self._outline = outline
         self._method = str(json.loads(warp).get("method", "rigid"))
+        self._compute()
+
+    def _compute(self) -> None:
+        self._native = _engine.Plan(self._json, self._size, *self._outline)
+        self._process = os.getpid()
 
     @classmethod
-    def _restored(cls, warp: bytes, size: tuple[int, int]) -> Plan:
+    def _restored(cls, *parts: Any) -> Plan:
         plan = cls.__new__(cls)
-        plan._settle(warp, size)
-        plan._native = _engine.Plan(warp, size)
-        plan._process = os.getpid()
+        plan._settle(*parts)
         return plan
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Plan._restored, (self._json, self._size)
+        return Plan._restored, (self._json, self._size, self._outline)
 
     def __repr__(self) -> str:
         width, height = self._size
@@ -122,8 +162,7 @@ class Plan:
     def _live(self) -> _engine.Plan:
         # What a thread of the parent held when this process was forked stays held for ever.
         if self._process != os.getpid():
-            self._native = _engine.Plan(self._json, self._size)
-            self._process = os.getpid()
+            self._compute()
         return self._native
 
     @property
@@ -240,6 +279,27 @@ class Plan:
             if best and all(getattr(one, name) == best[name] for name in names):
                 return FitReport(one, found)
         return FitReport(None, found)
+
+
+def _alpha_of(like: Image) -> NDArray[Any] | None:
+    """An image with the alpha of another; `None` of an opaque one."""
+    array = image_array(like, "like")
+    alpha = shape_of(array)[2] - 1
+    return array[:, :, [alpha, alpha]] if alpha in (1, 3) else None
+
+
+def _inside(mask: Image, size: tuple[int, int]) -> NDArray[Any]:
+    array = np.array(mask_array(mask, "mask"))
+    if array.ndim != 2:
+        raise UnsupportedArray(
+            f"mask: expected the shape (H, W); found {array.shape}", code="unsupported_array"
+        )
+    check_size(array, size, "mask")
+    return array
+
+
+def _buffer(array: NDArray[Any] | None) -> _Buffer | None:
+    return None if array is None else (array, shape_of(array))
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:

@@ -17,8 +17,10 @@ from ._values import (
     Image,
     ImageArray,
     array_of,
+    check_size,
     fill_out,
     image_array,
+    mask_array,
     of_json_handles,
     positions,
     shape_of,
@@ -144,11 +146,11 @@ class Pose:
         or ``"fit"``, and the width of the result. `out`: an array that takes the result.
         """
         array = image_array(image)
-        self._check_size(array, "image")
+        check_size(array, self._plan.size, "image")
         mask = None
         if region is not None:
-            mask = _mask(region)
-            self._check_size(mask, "region")
+            mask = mask_array(region, "region")
+            check_size(mask, self._plan.size, "region")
         output = _output(canvas, width, filter=filter, outside=_outside(fill, shape_of(array)[2]))
         of_mask = None if mask is None else (mask, shape_of(mask))
         values = self._live().warp(array, shape_of(array), output, of_mask)
@@ -170,7 +172,7 @@ class Pose:
                 f"{array.shape}",
                 code="unsupported_array",
             )
-        self._check_size(array, "labels")
+        check_size(array, self._plan.size, "labels")
         carried, back = _carried(array)
         height, wide = array.shape
         values = self._live().labels(carried, (height, wide), _output(canvas, width))
@@ -253,16 +255,6 @@ class Pose:
 
         return inverse_map
 
-    def _check_size(self, array: NDArray[Any], name: str) -> None:
-        height, width = array.shape[:2]
-        expected = self._plan.size
-        if (width, height) != expected:
-            raise InvalidWarp(
-                f"{name}: expected {expected[0]} x {expected[1]} px, the size of the plan; found "
-                f"{width} x {height}",
-                code="bad_value",
-            )
-
 
 def _require_finite(array: NDArray[np.float64], name: str, *, allow_nan: bool = True) -> None:
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
@@ -273,13 +265,6 @@ def _require_finite(array: NDArray[np.float64], name: str, *, allow_nan: bool = 
             code="not_finite",
             pointer=f"/{name}/{row}",
         )
-
-
-def _mask(region: Image) -> NDArray[Any]:
-    array = np.asarray(region)
-    if array.dtype == np.bool_:
-        return np.ascontiguousarray(array).view(np.uint8) * np.uint8(255)
-    return image_array(array, "region")
 
 
 def _outside(fill: Fill, samples: int) -> Any:

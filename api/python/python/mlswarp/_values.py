@@ -125,6 +125,24 @@ def shape_of(array: NDArray[Any]) -> tuple[int, int, int]:
     return height, width, array.shape[2] if array.ndim == 3 else 1
 
 
+def mask_array(mask: Image, name: str) -> NDArray[Any]:
+    """Booleans as 0 and 255; anything else as an image."""
+    array = np.asarray(mask)
+    if array.dtype == np.bool_:
+        return np.ascontiguousarray(array).view(np.uint8) * np.uint8(255)
+    return image_array(array, name)
+
+
+def check_size(array: NDArray[Any], expected: tuple[int, int], name: str) -> None:
+    height, width = array.shape[:2]
+    if (width, height) != expected:
+        raise InvalidWarp(
+            f"{name}: expected {expected[0]} x {expected[1]} px, the size of the plan; found "
+            f"{width} x {height}",
+            code="bad_value",
+        )
+
+
 def positions(xy: Coordinates) -> NDArray[np.float64]:
     array = np.ascontiguousarray(xy, dtype=np.float64)
     if array.size == 0:
