@@ -7,7 +7,8 @@
 //! ```
 //!
 //! It reads commands from its standard input, answers each with `ok`, and ends with the input:
-//! `rate MBIT` changes the rate, `pause SECONDS` passes nothing for this time.
+//! `rate MBIT` changes the rate, `pause SECONDS` passes nothing for this time, `cut` ends the
+//! connections.
 
 #![expect(
     clippy::print_stdout,
@@ -48,6 +49,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 relay.down.set_rate(rate(megabits)?);
             }
             ["pause", seconds] => relay.pause(Duration::try_from_secs_f64(seconds.parse()?)?),
+            ["cut"] => relay.cut(),
             ref other => return Err(format!("unknown command: {}", other.join(" ")).into()),
         }
         say("ok")?;

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::sleep_until;
 
@@ -178,6 +178,7 @@ pub(crate) struct Relay {
     pub(crate) up: Direction,
     /// From the server to clients.
     pub(crate) down: Direction,
+    cut: Arc<Notify>,
     accepting: JoinHandle<()>,
 }
 
@@ -189,13 +190,21 @@ impl Relay {
         let listener = socket.listen(256)?;
         let address = listener.local_addr()?;
         let (up, down) = (Direction::new(up), Direction::new(down));
-        let accepting = tokio::spawn(accept(listener, server, up.clone(), down.clone()));
+        let cut = Arc::new(Notify::new());
+        let of_link = (up.clone(), down.clone(), Arc::clone(&cut));
+        let accepting = tokio::spawn(accept(listener, server, of_link));
         Ok(Self {
             address,
             up,
             down,
+            cut,
             accepting,
         })
+    }
+
+    /// Ends the connections that there are, whatever is under way; new ones are accepted.
+    pub(crate) fn cut(&self) {
+        self.cut.notify_waiters();
     }
 
     /// Nothing departs for this time, in both directions.
@@ -219,11 +228,18 @@ fn bounded() -> io::Result<TcpSocket> {
     Ok(socket)
 }
 
-async fn accept(listener: TcpListener, server: SocketAddr, up: Direction, down: Direction) {
+type OfLink = (Direction, Direction, Arc<Notify>);
+
+async fn accept(listener: TcpListener, server: SocketAddr, of_link: OfLink) {
     let mut connections = JoinSet::new();
     while let Ok((client, _)) = listener.accept().await {
-        let (up, down) = (up.clone(), down.clone());
-        connections.spawn(async move { connect(client, server, &up, &down).await });
+        let (up, down, cut) = of_link.clone();
+        connections.spawn(async move {
+            tokio::select! {
+                ended = connect(client, server, &up, &down) => ended,
+                () = cut.notified() => Ok(()),
+            }
+        });
         while connections.try_join_next().is_some() {}
     }
 }

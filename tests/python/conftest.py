@@ -85,6 +85,31 @@ def program(tmp_path):
     program.stop()
 
 
+class Link:
+    """The relay of tests/link in front of a server: MBIT Mbit/s, MS ms each way."""
+
+    def __init__(self, address, mbit, ms):
+        link = Path(os.environ["MLSWARP_PROGRAM"]).parent / "examples/link"
+        command = [link, address.removeprefix("http://"), str(mbit), str(ms)]
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        self.address = f"http://127.0.0.1:{self.process.stdout.readline().strip()}"
+
+    def cut(self):
+        """Ends the connections that there are."""
+        self.process.stdin.write("cut\n")
+        self.process.stdin.flush()
+        assert self.process.stdout.readline() == "ok\n"
+
+
+@pytest.fixture
+def link(server):
+    link = Link(server.address, mbit=20, ms=30)
+    yield link
+    link.process.stdin.close()
+    link.process.wait()
+
+
 @pytest.fixture(scope="session")
 def cat():
     return (ROOT / "tests/images/chelsea.png").read_bytes()

@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import threading
 import zipfile
 
 import httpx2
@@ -108,6 +109,29 @@ def test_a_drag_outlives_a_server(program, cat):
         program.stop()
         program.start()
         assert session.warp(Q).content == mlswarp.warp_file(cat, {"p": P, "q": Q})
+
+
+def test_a_slow_link_that_breaks(link, cat):
+    """A request whose connection ends before its answer is repeated; a drag connects again, and its
+    last pose comes back."""
+    with (
+        mlswarp.Client(link.address) as client,
+        client.open(cat, P) as session,
+        session.drag(frames="png") as drag,
+    ):
+        # The answer takes at least 60 ms.
+        cut = threading.Timer(0.04, link.cut)
+        cut.start()
+        assert session.warp(Q).content == mlswarp.warp_file(cat, {"p": P, "q": Q})
+        cut.join()
+        for k in range(10):
+            last = drag.pose(moved(k))
+        assert next(drag).seq <= last
+        link.cut()
+        for frame in drag:
+            if frame.seq == last and frame.full:
+                break
+        assert frame.content == session.warp(moved(9)).content
 
 
 def test_a_drag_without_its_session_ends(program, cat):

@@ -366,6 +366,23 @@ def test_other_threads_go_on_meanwhile():
     assert steps > 1000
 
 
+def test_a_thousand_stimuli_need_no_more_memory_than_one():
+    """The size of a study of faces; 60 of them, with what 10 have needed."""
+    code = """
+import re, mlswarp, numpy as np
+most = lambda: int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) >> 10
+image = np.random.default_rng(0).integers(0, 255, (768, 696, 3), np.uint8)
+p = np.stack(np.meshgrid(np.linspace(100, 600, 8), np.linspace(100, 660, 9)), axis=-1)
+plan = mlswarp.Plan(p.reshape(-1, 2), like=image)
+for k, pose in enumerate(plan.jitter(sigma=6, count=60, seed=7)):
+    pose.warp(image)
+    if k in (9, 59):
+        print(most())
+"""
+    ten, all_of_them = map(int, python(code))
+    assert all_of_them <= ten + 4 and all_of_them < 300
+
+
 class Interrupt(Exception):
     pass
 
