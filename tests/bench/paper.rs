@@ -122,7 +122,7 @@ fn of_figure(report: &mut Report, figure: &PaperFigure, picture: &Picture, colum
         let once = medians(PLANS, &mut [contender("", || drop(black_box(plan())))])[0];
         plans.push((name.to_owned(), once));
         posable.push(Posable {
-            name: format!("{name} (the paper: {printed} ms)"),
+            name: format!("{name} (the paper: {printed:.1} ms)"),
             work: Work::Table(plan(), pose),
         });
     }
