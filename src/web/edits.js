@@ -420,11 +420,11 @@ export const canUnfold = (document) =>
   metricOf(document) === "euclidean" &&
   (hasFocus(document) || (has(document, "smoothing") && !document.smoothing));
 /**
- * What becomes of folds, once that was chosen: a session keeps what it is not told.
- * @type {(document: Page.Document) => Pick<Page.Rest, "folds">}
+ * What becomes of folds. A session keeps what it is not told.
+ * @type {(document: Page.Document) => Page.Rest["folds"]}
  */
-const foldsIn = (document) =>
-  document.folds ? { folds: canUnfold(document) ? document.folds : "report" } : {};
+const foldsOf = (document) =>
+  document.folds === "remove" && canUnfold(document) ? "remove" : "report";
 /** The share of full alpha above which a pixel belongs to the inside, if none is chosen. */
 const THRESHOLD = 0.5;
 /** @type {(document: Page.Document) => number} */
@@ -526,7 +526,7 @@ export function restOf(document) {
     ...parameters,
     coincident: document.coincident ?? MEAN,
     grid: infoOf(document).mesh ? "auto" : typeof grid === "number" ? { cell: grid } : grid,
-    ...foldsIn(document),
+    folds: foldsOf(document),
     output,
   };
 }

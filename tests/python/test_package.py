@@ -280,6 +280,12 @@ def test_strength_folds_and_alignment():
     assert row.pose(across).folds > 0
     with pytest.raises(mlswarp.FoldedError):
         row.pose(across, folds="reject")
+    removed = row.pose([[20, 30], [50, 45], [60, 30]], folds="remove")
+    again = pickle.loads(pickle.dumps(removed))
+    assert removed.folds == again.folds == 0
+    np.testing.assert_array_equal(again.map(), removed.map())
+    with pytest.raises(mlswarp.InvalidWarp, match="unreachable"):
+        row.pose([[20, 30], [20, 30], [60, 30]], folds="remove")
     with pytest.raises(ValueError):
         PLAN.pose(Q, folds="accept")
     aligned = mlswarp.Plan(P, size=(W, H), align="rigid")
