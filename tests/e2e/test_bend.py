@@ -115,7 +115,7 @@ def test_the_smoothing_of_a_file_is_kept(opened):
         "buffer": json.dumps(warp | {"method": "tps", "smoothing": 0.1}).encode(),
     }
     opened.page.set_input_files("#file", [file])
-    opened.ready()
+    opened.body(f"[data-handles='{len(warp['p'])}']").ready()
     assert opened.page.locator("#method-tps").is_checked() and "Smoothing 0.1" in opened.text(
         "method-note"
     )
