@@ -14,7 +14,7 @@ use crate::layer::check_extent;
 use crate::problem::Problem;
 use crate::wire::{Reserved, WarpObject, WarpPatch};
 
-/// The most handles on which methods are compared, unless a service is told otherwise: the time
+/// The most handles on which methods are compared, unless a service is configured otherwise: the time
 /// grows with its cube.
 pub const MOST_FIT_HANDLES: u64 = 2000;
 

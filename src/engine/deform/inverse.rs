@@ -112,9 +112,8 @@ impl<'a> Inverse<'a> {
     /// `CELL_MARGIN_PX`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a RestDeformation, pose: &'a Pose, mesh: &'a Mesh) -> Self {
-        let f = field.deformation(pose);
         Self {
-            f: Some(f),
+            f: Some(field.deformation(pose)),
             ..Self::of_mesh(mesh)
         }
     }
@@ -174,10 +173,8 @@ impl<'a> Inverse<'a> {
                 let [i, j] = self.column_and_row(*cell);
                 let corners = self.mesh.corners(i, j).next()?;
                 let [s, t] = in_patch(corners, *y)?;
-                let (from, to) = (
-                    self.mesh.grid().vertex(i, j),
-                    self.mesh.grid().vertex(i + 1, j + 1),
-                );
+                let from = self.mesh.grid().vertex(i, j);
+                let to = self.mesh.grid().vertex(i + 1, j + 1);
                 let at = |a: f64, b: f64, share: f64| a + (b - a) * share;
                 let place = Point::new(at(from.x, to.x, s), at(from.y, to.y, t));
                 Some((self.mesh.rank(i, j, 0), *cell, place))

@@ -345,8 +345,8 @@ pub(crate) static FIGURES: [PaperFigure; 9] = [
     PaperFigure {
         name: "figure-8",
         title: "Figure 8: folds",
-        claim: "An arm that is dragged across the body folds the plane. A map without folds (folds: \
-            remove) takes all handles to the same places, and no cell folds.",
+        claim: "An arm that is dragged across the body folds the plane. A map without folds \
+            (folds: remove) takes all handles to the same places, and no cell folds.",
         image: "toy.png",
         canvas: TOY_CANVAS,
         rest: Placed::Points(&TOY),
