@@ -14,8 +14,8 @@ use crate::layer::check_extent;
 use crate::problem::Problem;
 use crate::wire::{Reserved, WarpObject, WarpPatch};
 
-/// The most handles on which methods are compared, unless a service is configured otherwise: the time
-/// grows with its cube.
+/// The most handles on which methods are compared, unless a service is configured otherwise: the
+/// time grows with its cube.
 pub const MOST_FIT_HANDLES: u64 = 2000;
 
 /// Reads a warp object in memory that is not shared with other clients.
