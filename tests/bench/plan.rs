@@ -1,5 +1,5 @@
 //! Building the A_j table of 10,000 vertices, beside what a crate without a plan takes to deform
-//! the same vertices once.
+//! the same vertices once; and what handles inside an outline take, with their distances.
 
 #![allow(
     missing_docs,
@@ -11,15 +11,22 @@
     reason = "a program that prints a table"
 )]
 
+#[allow(dead_code, reason = "figures are drawn elsewhere")]
+#[path = "../../src/engine/examples/gallery/main.rs"]
+mod gallery;
 #[path = "harness/mod.rs"]
 mod harness;
 mod sets;
 
 use std::hint::black_box;
+use std::path::Path;
 
-use harness::{Report, contender, pool};
+use gallery::Picture;
+use gallery::figures::FIGURES;
+use harness::{Goal, Report, contender, inside, pool};
 use mlswarp::deform::{CoefficientTable, Method};
 use mlswarp::geometry::Grid;
+use mlswarp::warp::{GridSpec, Limits, Metric, ResolvedRest, RestSpec};
 
 fn main() {
     let mut report = Report::new(
@@ -74,5 +81,50 @@ fn main() {
             ));
         }
     }
-    report.table("plan", 15, &mut contenders);
+    if harness::wanted("plan") {
+        report.table("plan", 15, &mut contenders);
+    }
+    inside_an_outline(&mut report);
+}
+
+/// The horse of the gallery, in cells of 4 px.
+fn inside_an_outline(report: &mut Report) {
+    let figure = FIGURES.iter().find(|figure| figure.name == "hoof");
+    let figure = figure.expect("a figure of the gallery");
+    let images = concat!(env!("CARGO_MANIFEST_DIR"), "/test_files/images");
+    let picture = Picture::open(&Path::new(images).join(figure.image)).expect("a photograph");
+    let extent = picture.image.extent();
+    let rest = RestSpec {
+        p: figure.rest.handles(),
+        method: Method::Rigid,
+        metric: Metric::Geodesic,
+        mask: Some(picture.mask.clone()),
+        grid: GridSpec::Cell(4.0),
+        ..RestSpec::default()
+    };
+    let build = || {
+        let limits = Limits::default();
+        let setup = ResolvedRest::new(&rest, extent, &limits, &|| false).expect("handles");
+        let plan = setup.plan(&|| false).expect("nothing cancels it");
+        (setup, plan)
+    };
+    let mask = &picture.mask.mask;
+    let (one, two) = (pool(1), pool(2));
+    let of_threads = |threads: &str| {
+        format!(
+            "the outline of the horse, {} handles, {} of its pixels, {threads}",
+            rest.p.len(),
+            mask.inside(),
+        )
+    };
+    let mut contenders = [
+        inside(&one, of_threads("1 thread"), || drop(black_box(build()))),
+        inside(&two, of_threads("2 threads"), || drop(black_box(build()))),
+    ];
+    let title = "geodesic plan of about 12,000 vertices";
+    if harness::wanted(title) {
+        let times = report.table(title, 9, &mut contenders);
+        report.goal("1 thread, s", times[0], Goal::AtMost(0.6));
+        report.goal("2 threads, s", times[1], Goal::AtMost(0.3));
+    }
 }

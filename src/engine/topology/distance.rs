@@ -6,7 +6,8 @@ use std::collections::BinaryHeap;
 use std::sync::Arc;
 
 use super::pixel::{INTO_PIXEL, nearest_of_pixel};
-use super::{HANDLE_TO_MASK_PX, Nodes};
+use super::sight::Sights;
+use super::{HANDLE_TO_MASK_PX, Mask, Nodes};
 use crate::geometry::Point;
 
 /// Nodes that are settled between two looks at whether the work is still needed: each takes as many
@@ -35,6 +36,8 @@ pub enum PathOrigin {
 pub struct Distances {
     nodes: Arc<Nodes>,
     source: PathOrigin,
+    /// The position inside the mask from which a handle that is one position sees.
+    place: Option<Point>,
     /// The length of the shortest path to each node, px.
     length: Vec<f64>,
     /// The node at which that path turns last, or that it starts at: [`HANDLE`].
@@ -66,7 +69,7 @@ impl Distances {
     /// their turn, some of them several times.
     #[must_use]
     pub const fn search_bytes(nodes: u64) -> u64 {
-        16 * nodes
+        16 * nodes + Sights::BYTES
     }
 
     /// Operations of the distances from one handle: for each node a few lines of sight.
@@ -88,6 +91,10 @@ impl Distances {
         let mut distances = Self {
             nodes: Arc::clone(nodes),
             source,
+            place: match source {
+                PathOrigin::Point(p) => place_of(nodes.mask(), p),
+                PathOrigin::Segment(..) => None,
+            },
             length: vec![f64::INFINITY; nodes.len()],
             turn: vec![NONE; nodes.len()],
         };
@@ -127,26 +134,26 @@ impl Distances {
 
     /// The position inside the mask from which the handle is seen near `v`.
     fn place(&self, v: Point) -> Option<Point> {
-        let p = self.source.nearest(v);
-        let pixel = self.nodes.mask().pixel_at(p, HANDLE_TO_MASK_PX)?;
-        Some(nearest_of_pixel(pixel, p, INTO_PIXEL))
+        match self.source {
+            PathOrigin::Point(_) => self.place,
+            PathOrigin::Segment(..) => place_of(self.nodes.mask(), self.source.nearest(v)),
+        }
     }
 
     fn search(&mut self, starts: Vec<u32>, cancelled: &dyn Fn() -> bool) -> bool {
-        let mut queue = BinaryHeap::new();
+        let mut waiting = Waiting {
+            queue: BinaryHeap::new(),
+            corners: Vec::new(),
+            sights: Sights::default(),
+        };
         for node in starts {
             let at = self.nodes.position(node);
-            self.reach(
-                node,
-                self.source.nearest(at).distance(at),
-                HANDLE,
-                &mut queue,
-            );
+            let length = self.source.nearest(at).distance(at);
+            self.reach(node, length, HANDLE, &mut waiting.queue);
         }
         let nodes = Arc::clone(&self.nodes);
-        let mut corners = Vec::new();
         let mut settled = 0_usize;
-        while let Some(Reverse((length, node))) = queue.pop() {
+        while let Some(Reverse((length, node))) = waiting.queue.pop() {
             if f64::from_bits(length) > self.length[node as usize] {
                 continue;
             }
@@ -155,7 +162,7 @@ impl Distances {
                 return false;
             }
             for next in nodes.neighbours(node) {
-                self.relax(node, *next, &mut corners, &mut queue);
+                self.relax(&nodes, [node, *next], &mut waiting);
             }
         }
         true
@@ -181,9 +188,14 @@ impl Distances {
         }
     }
 
-    /// A path to `node` goes on to its neighbour `next`.
-    fn relax(&mut self, node: u32, next: u32, corners: &mut Vec<u32>, queue: &mut NodeQueue) {
-        let (here, to) = (self.nodes.position(node), self.nodes.position(next));
+    /// A path to a node goes on to its neighbour.
+    fn relax(&mut self, nodes: &Nodes, [node, next]: [u32; 2], waiting: &mut Waiting) {
+        let Waiting {
+            queue,
+            corners,
+            sights,
+        } = waiting;
+        let (here, to) = (nodes.position(node), nodes.position(next));
         let turn = self.turn[node as usize];
         let Some((from, seen_from, length)) = self.piece(turn, to) else {
             return;
@@ -192,14 +204,15 @@ impl Distances {
         if straight >= self.length[next as usize] {
             return;
         }
-        let nodes = Arc::clone(&self.nodes);
-        if nodes.mask().sees(seen_from, to) {
+        if sights.sees(nodes.mask(), seen_from, to) {
             return self.reach(next, straight, turn, queue);
         }
         let Some((from, seen_from, length)) = self.piece(turn, here) else {
             return;
         };
-        if !nodes.pull_tight(seen_from, here, to, corners) || corners.is_empty() {
+        let is_bent = !sights.sees(nodes.mask(), seen_from, to)
+            && nodes.pull_tight([seen_from, here, to], sights, corners);
+        if !is_bent {
             let length = self.length[node as usize] + here.distance(to);
             return self.reach(next, length, node, queue);
         }
@@ -225,39 +238,38 @@ impl Distances {
     /// The length of the shortest path to `v`, which is seen from its nearest position in a pixel
     /// inside the mask, px; infinite if no path reaches that pixel.
     #[must_use]
-    pub fn at(&self, pixel: (usize, usize), v: Point) -> f64 {
+    pub fn at(&self, pixel: (usize, usize), v: Point, sights: &mut Sights) -> f64 {
         let Some(own) = self.nodes.node_at(pixel.0, pixel.1) else {
             return f64::INFINITY;
         };
+        if self.length[own as usize].is_infinite() {
+            return f64::INFINITY;
+        }
         let mask = self.nodes.mask();
         let place = nearest_of_pixel(pixel, v, INTO_PIXEL);
-        let mut best = f64::INFINITY;
         if let Some((p, seen_from, _)) = self.piece(HANDLE, v)
-            && self.length[own as usize].is_finite()
             && mask.sees(seen_from, place)
         {
             return p.distance(v);
         }
+        let mut best = f64::INFINITY;
         let mut corners = Vec::new();
-        let mut seen = [NONE; 4];
-        let around = std::iter::once(&own).chain(self.nodes.neighbours(own));
-        for (k, &node) in around.enumerate() {
+        for &node in std::iter::once(&own).chain(self.nodes.neighbours(own)) {
             let turn = self.turn[node as usize];
             if turn == NONE {
                 continue;
             }
             let here = self.nodes.position(node);
-            if turn != HANDLE && !seen.contains(&turn) {
-                let at = self.nodes.position(turn);
-                let length = self.length[turn as usize] + at.distance(v);
-                if length < best && mask.sees(at, place) {
-                    best = length;
-                    seen[k % seen.len()] = turn;
+            let Some((from, seen_from, length)) = self.piece(turn, here) else {
+                continue;
+            };
+            if sights.sees(mask, seen_from, place) {
+                if turn != HANDLE {
+                    best = best.min(length + from.distance(v));
                 }
-            }
-            if !seen.contains(&turn)
-                && let Some((_, from, _)) = self.piece(turn, here)
-                && self.nodes.pull_tight(from, here, place, &mut corners)
+            } else if self
+                .nodes
+                .pull_tight([seen_from, here, place], sights, &mut corners)
                 && let Some(&last) = corners.last()
             {
                 let at = self.nodes.position(last);
@@ -276,7 +288,20 @@ impl Distances {
     }
 }
 
+/// The position inside the mask that is nearest to one of a handle, if there is one near.
+fn place_of(mask: &Mask, p: Point) -> Option<Point> {
+    let pixel = mask.pixel_at(p, HANDLE_TO_MASK_PX)?;
+    Some(nearest_of_pixel(pixel, p, INTO_PIXEL))
+}
+
 type NodeQueue = BinaryHeap<Reverse<(u64, u32)>>;
+
+/// What a search needs beside the distances.
+struct Waiting {
+    queue: NodeQueue,
+    corners: Vec<u32>,
+    sights: Sights,
+}
 
 /// A handle is not inside the mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -373,6 +373,12 @@ impl Mask {
     #[must_use]
     pub fn pixel_at(&self, v: Point, within: f64) -> Option<(usize, usize)> {
         let (x, y) = (floor(v.x), floor(v.y));
+        // The pixel of the position itself wins over those that only touch it.
+        if let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y))
+            && self.is_inside(x, y)
+        {
+            return Some((x, y));
+        }
         let reach = 1 + floor(within);
         let mut best = None;
         for py in y.saturating_sub(reach)..=y.saturating_add(reach) {
@@ -380,13 +386,7 @@ impl Mask {
                 if let (Ok(ux), Ok(uy)) = (usize::try_from(px), usize::try_from(py))
                     && self.is_inside(ux, uy)
                 {
-                    // The pixel of the position itself wins over those that only touch it.
-                    let own = (px, py) == (x, y);
-                    let distance = if own {
-                        -1.0
-                    } else {
-                        nearest_of_pixel((ux, uy), v, 0.0).distance(v)
-                    };
+                    let distance = nearest_of_pixel((ux, uy), v, 0.0).distance(v);
                     if distance <= within && best.is_none_or(|(least, _)| distance < least) {
                         best = Some((distance, (ux, uy)));
                     }
@@ -397,7 +397,12 @@ impl Mask {
     }
 
     pub(super) fn clearance(&self, x: usize, y: usize) -> usize {
-        match self.pixels[y * self.width + x] {
+        self.clearance_at(y * self.width + x)
+    }
+
+    /// The same of a pixel that is counted row by row.
+    pub(super) fn clearance_at(&self, at: usize) -> usize {
+        match self.pixels[at] {
             OUTSIDE | RIM.. => 0,
             clearance => clearance as usize,
         }

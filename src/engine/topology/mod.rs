@@ -21,6 +21,7 @@ pub use distance::{Distances, OutsideMask, PathOrigin};
 pub use lattice::{CutLattice, LatticeSize, MAX_SPACING, Quad};
 pub use mask::{Mask, Membership};
 pub use nodes::{NoNodes, Nodes, NodesSize};
+pub use sight::Sights;
 
 #[cfg(test)]
 mod tests;

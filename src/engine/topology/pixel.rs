@@ -16,7 +16,8 @@ pub(super) fn nearest_of_pixel((x, y): (usize, usize), v: Point, margin: f64) ->
 
 /// The largest whole number that is not greater; saturates.
 pub(super) fn floor(v: f64) -> i64 {
+    // Without a call of the mathematical library, which is most of the time of a line of sight.
     #[expect(clippy::cast_possible_truncation, reason = "saturates")]
-    let floor = v.floor() as i64;
-    floor
+    let toward_zero = v as i64;
+    toward_zero.saturating_sub(i64::from(toward_zero as f64 > v))
 }

@@ -50,7 +50,8 @@ fn distances(nodes: &Arc<Nodes>, source: PathOrigin) -> Distances {
 }
 
 fn distance_at(distances: &Distances, nodes: &Nodes, v: Point) -> f64 {
-    distances.at(nodes.mask().pixel_at(v, 0.0).unwrap(), v)
+    let pixel = nodes.mask().pixel_at(v, 0.0).unwrap();
+    distances.at(pixel, v, &mut Sights::default())
 }
 
 #[test]
@@ -242,7 +243,13 @@ fn hostile_masks_take_bounded_work_and_memory() {
     let middle = (0..301)
         .flat_map(|y| (0..301).map(move |x| (x, y)))
         .filter(|(x, y)| nodes.mask().is_inside(*x, *y))
-        .map(|(x, y)| from_end.at((x, y), Point::new(x as f64 + 0.5, y as f64 + 0.5)))
+        .map(|(x, y)| {
+            distance_at(
+                &from_end,
+                &nodes,
+                Point::new(x as f64 + 0.5, y as f64 + 0.5),
+            )
+        })
         .fold(0.0, f64::max);
     assert!(
         middle > 0.99 * pixels as f64 && middle < pixels as f64,

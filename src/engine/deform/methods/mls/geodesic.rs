@@ -20,7 +20,7 @@ use crate::deform::point_map::{CoefficientsOf, Identity, PointMap, RestSet};
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handle, Handles, IsCancelled, Warning};
 use crate::geometry::Point;
-use crate::topology::{Distances, Mask, NoNodes, Nodes, POSITION_TO_MASK_PX, PathOrigin};
+use crate::topology::{Distances, Mask, NoNodes, Nodes, POSITION_TO_MASK_PX, PathOrigin, Sights};
 
 /// In the keys of plans and rest handles, beyond those of the plane.
 const KEY: u64 = 32;
@@ -225,7 +225,7 @@ impl GeodesicLeastSquares {
         (v, pixel): (Point, u32),
         given: Option<CoefficientForm>,
         exact: bool,
-        workspace: &mut Workspace<1>,
+        (workspace, sights): (&mut Workspace<1>, &mut Sights),
     ) -> Option<&MaskPart> {
         let pixel = self.pixel(v, pixel)?;
         let reaches = |part: &&MaskPart| self.distances[part.members[0]].reaches(pixel.0, pixel.1);
@@ -233,7 +233,8 @@ impl GeodesicLeastSquares {
         if matches!(part.set.rank, Rank::Empty | Rank::OnePlace) {
             return Some(part);
         }
-        let distances = part.members.iter().map(|k| self.distances[*k].at(pixel, v));
+        let members = part.members.iter().map(|k| &self.distances[*k]);
+        let distances = members.map(|from| from.at(pixel, v, sights));
         let squared: Vec<f64> = distances.map(|distance| distance * distance).collect();
         let Workspace { rows, scratch } = workspace;
         let (points, segments) = squared.split_at(part.set.sources.points.len());
@@ -287,11 +288,11 @@ impl GeodesicLeastSquares {
     ) {
         let rows = &mut workspace.rows;
         rows.clear();
-        let mut single = Workspace::<1>::new(rows.h.len());
+        let (mut single, mut sights) = (Workspace::<1>::new(rows.h.len()), Sights::default());
         for lane in 0..N {
             let at = Point::new(v.x[lane], v.y[lane]);
             let at = (at, v.pixel[lane]);
-            let Some(part) = self.one(at, given, exact, &mut single) else {
+            let Some(part) = self.one(at, given, exact, (&mut single, &mut sights)) else {
                 continue;
             };
             let points = &part.set.sources.points;
