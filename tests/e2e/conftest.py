@@ -20,7 +20,7 @@ def playwright():
 
 @pytest.fixture(scope="session")
 def browser(playwright):
-    assert CHROMIUM, "chromium is not in PATH: install Debian's package"
+    assert CHROMIUM, "install Debian's package chromium-headless-shell"
     # Without a graphics card, GPU rasterization of the page takes several times as long as the
     # CPU's.
     browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)

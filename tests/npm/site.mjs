@@ -55,7 +55,7 @@ export async function site(pages = {}, folders = {}) {
 /** Debian's Chromium, with WebGL by the processor. */
 export function launch() {
   const { chromium } = packaged("playwright-core");
-  const executablePath = process.env.MLSWARP_CHROMIUM ?? "/usr/bin/chromium";
+  const executablePath = process.env.MLSWARP_CHROMIUM ?? "/usr/bin/chromium-headless-shell";
   const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
   return chromium.launch({ executablePath, args });
 }

@@ -102,7 +102,7 @@ function source(name, from) {
 /** What the page reports, which Chromium shows. */
 async function shown(address) {
   const report = new Promise((resolve) => (heard = resolve));
-  const browser = spawn("chromium", [
+  const browser = spawn("chromium-headless-shell", [
     "--headless",
     "--no-sandbox",
     "--disable-gpu",
