@@ -1,5 +1,6 @@
 """The recipe for torchvision. Its packages for Linux bring gigabytes for graphics cards, so that it
-runs on stand-ins with their names, which are arrays, unless the library itself is installed."""
+runs on stand-ins with their names, which are arrays, unless the library itself is installed, as it
+is by `tests/run --full`."""
 
 import importlib
 import runpy

@@ -2,22 +2,26 @@
 
 /// An RGB picture in which no two neighbourhoods look alike.
 pub(crate) fn photo(width: u32, height: u32) -> Vec<u8> {
-    let sample = |x: u32, y: u32, c: u32| {
-        let wave = 90.0
-            * (f64::from(x * (c + 1)) / 17.0).sin()
-            * (f64::from(y) / (11.0 + f64::from(c))).cos();
-        let noise = f64::from((x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503) ^ c) % 23);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "clamped to a byte"
-        )]
-        let byte = (128.0 + wave + noise).clamp(0.0, 255.0) as u8;
-        byte
-    };
-    let samples: Vec<u8> = (0..height)
-        .flat_map(|y| (0..width).flat_map(move |x| (0..3).map(move |c| sample(x, y, c))))
+    // Tables and plain loops: the tests are not optimised, and many begin with a photograph.
+    let columns: Vec<[f64; 3]> = (0..width)
+        .map(|x| [0, 1, 2].map(|c| 90.0 * (f64::from(x * (c + 1)) / 17.0).sin()))
         .collect();
+    let mut samples = Vec::with_capacity(3 * (width * height) as usize);
+    for y in 0..height {
+        let row = [0, 1, 2].map(|c| (f64::from(y) / (11.0 + f64::from(c))).cos());
+        for x in 0..width {
+            for c in 0..3 {
+                let wave = columns[x as usize][c as usize] * row[c as usize];
+                let noise = (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503) ^ c) % 23;
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "clamped to a byte"
+                )]
+                samples.push((128.0 + wave + f64::from(noise)).clamp(0.0, 255.0) as u8);
+            }
+        }
+    }
     png(width, height, png::ColorType::Rgb, &samples)
 }
 
