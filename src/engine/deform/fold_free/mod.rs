@@ -7,16 +7,18 @@ mod path;
 mod reach;
 #[cfg(test)]
 mod tests;
+mod way;
 
 use std::fmt;
 use std::sync::Arc;
 
 use self::lattice::ControlLattice;
 use self::path::{HandlePlaces, Path, between, handles_like, places_of};
+use self::way::{Way, table_bytes};
 use super::{
     Class, CoefficientForm, DeformError, Handle, IsCancelled, Pose, RestDeformation, fitted,
 };
-use crate::geometry::{Folding, Grid, Mesh, Orientation, Point, Vec2};
+use crate::geometry::{Folding, Grid, Mesh, Orientation, Point};
 use crate::parallel::prelude::*;
 
 /// Factors of a product: ordinary poses need 3 to 7.
@@ -24,8 +26,6 @@ const MOST_FACTORS: usize = 24;
 /// A factor that goes less far than this share of its way does not arrive, if the next one does not
 /// either.
 const LEAST_STEP: f64 = 1e-3;
-/// Bisections for the share of the way of a rotation, whose displacements are not linear in it.
-const BISECTIONS: u32 = 9;
 /// Positions that one task maps.
 const PLACES_PER_TASK: usize = 512;
 /// Operations of comparing two positions of handles.
@@ -161,7 +161,8 @@ impl FoldFree {
                 return Ok(None);
             }
             work.take(work.of_position.saturating_mul(lattice.len()))?;
-            let mapped = mapped(rest, pose, lattice.places(), cancelled).ok_or(CANCELLED)?;
+            let mapped =
+                mapped((rest, pose), lattice.places(), false, cancelled).ok_or(CANCELLED)?;
             if lattice.is_open(&mapped) {
                 return Ok(None);
             }
@@ -199,7 +200,8 @@ impl FoldFree {
     #[must_use]
     pub fn peak_bytes(rest: &RestDeformation, grid: &Grid) -> u64 {
         let columns = rest.handles().columns() as u64;
-        CONTROL_BYTES * ControlLattice::count(grid.width(), grid.height()) + COLUMN_BYTES * columns
+        let lattice = ControlLattice::count(grid.width(), grid.height());
+        CONTROL_BYTES * lattice + COLUMN_BYTES * columns + table_bytes(rest, lattice)
     }
 
     fn composed(
@@ -319,7 +321,7 @@ impl FoldFree {
     ) -> Option<Vec<Point>> {
         let mut places = places.to_vec();
         for (field, pose) in factors {
-            places = mapped(field, pose, &places, cancelled)?;
+            places = mapped((field, pose), &places, true, cancelled)?;
         }
         Some(self.moved(places))
     }
@@ -327,10 +329,20 @@ impl FoldFree {
     /// f at many positions, by one factor after the other. `None` when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
+        self.map_all_as(places, true, cancelled)
+    }
+
+    /// Not `exact`: in the precision of what is drawn.
+    fn map_all_as(
+        &self,
+        places: &[Point],
+        exact: bool,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<Point>> {
         let mut places = places.to_vec();
         for step in 0..self.count() {
             let (field, pose) = self.factor(step, cancelled)?;
-            places = mapped(&field, &pose, &places, cancelled)?;
+            places = mapped((&field, &pose), &places, exact, cancelled)?;
         }
         Some(self.moved(places))
     }
@@ -351,7 +363,7 @@ impl FoldFree {
         let places: Vec<Point> = rows
             .flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)))
             .collect();
-        let mapped = self.map_all(&places, cancelled)?;
+        let mapped = self.map_all_as(&places, false, cancelled)?;
         #[expect(
             clippy::cast_possible_truncation,
             reason = "displacements are in single precision"
@@ -370,13 +382,13 @@ const CANCELLED: DeformError = DeformError::Cancelled;
 
 /// f at many positions, in parallel on the current pool. `None` when cancelled.
 fn mapped(
-    field: &RestDeformation,
-    pose: &Pose,
+    (field, pose): (&RestDeformation, &Pose),
     places: &[Point],
+    exact: bool,
     cancelled: IsCancelled<'_>,
 ) -> Option<Vec<Point>> {
     let f = field.deformation(pose);
-    let map = |places: &[Point]| f.map_all(places, cancelled);
+    let map = |places: &[Point]| f.map_all_as(places, exact, cancelled);
     let parts: Option<Vec<Vec<Point>>> = places.par_chunks(PLACES_PER_TASK).map(map).collect();
     Some(parts?.concat())
 }
@@ -421,50 +433,4 @@ fn inverse([x, y]: &[[f64; 3]; 2]) -> Option<[[f64; 3]; 2]> {
     ];
     let is_finite = inverse.iter().flatten().all(|value| value.is_finite());
     is_finite.then_some(inverse)
-}
-
-/// The way of one factor.
-struct Way<'a> {
-    field: &'a RestDeformation,
-    form: &'a [Handle],
-    now: &'a HandlePlaces,
-    target: &'a HandlePlaces,
-}
-
-impl Way<'_> {
-    /// The largest share of the way, up to 1, on which every corner of the control lattice stays
-    /// open.
-    fn longest(
-        &self,
-        is_linear: bool,
-        lattice: &ControlLattice,
-        work: &mut ProductWork,
-        cancelled: IsCancelled<'_>,
-    ) -> Result<f64, FoldFreeError> {
-        let mut mapped = |share: f64| -> Result<Vec<Point>, FoldFreeError> {
-            let posed = handles_like(self.form, &between(self.now, self.target, share));
-            let pose = self.field.pose(&posed)?;
-            work.take(work.of_position.saturating_mul(lattice.len()))?;
-            Ok(mapped(self.field, &pose, lattice.places(), cancelled).ok_or(CANCELLED)?)
-        };
-        let whole = mapped(1.0)?;
-        if lattice.is_open(&whole) {
-            return Ok(1.0);
-        }
-        if is_linear {
-            let pairs = whole.iter().zip(lattice.places());
-            let displacements: Vec<Vec2> = pairs.map(|(mapped, v)| *mapped - *v).collect();
-            return Ok(lattice.longest(&displacements));
-        }
-        let (mut low, mut high) = (0.0, 1.0);
-        for _ in 0..BISECTIONS {
-            let middle = 0.5 * (low + high);
-            if lattice.is_open(&mapped(middle)?) {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        Ok(low)
-    }
 }

@@ -140,8 +140,15 @@ fn corners(grid: &Grid, [i, j]: [u32; 2]) -> [usize; 4] {
 
 fn at_rest(grid: &Grid, vertex: usize) -> Point {
     let columns = grid.columns() as usize;
-    let of = |index: usize| u32::try_from(index).unwrap_or(u32::MAX);
-    Point::new(grid.x(of(vertex % columns)), grid.y(of(vertex / columns)))
+    Point::new(
+        grid.x(of_u32(vertex % columns)),
+        grid.y(of_u32(vertex / columns)),
+    )
+}
+
+/// An index of a vertex, of which grids have fewer.
+fn of_u32(index: usize) -> u32 {
+    u32::try_from(index).unwrap_or(u32::MAX)
 }
 
 /// Width and height of a cell at rest.
@@ -218,8 +225,21 @@ struct FreePatch<'a> {
     /// Among the vertices that may move, the number of each.
     free: Vec<Option<usize>>,
     vertices: Vec<usize>,
-    cells: Vec<[u32; 2]>,
+    cells: Vec<PatchCell>,
     targets: Vec<Aim>,
+}
+
+/// A vertex that does not move.
+const STAYS: u32 = u32::MAX;
+
+/// A cell with a vertex that may move.
+struct PatchCell {
+    cell: [u32; 2],
+    corners: [u32; 4],
+    /// The numbers of its corners among the vertices that may move, or [`STAYS`].
+    numbers: [u32; 4],
+    /// One by its width and by its height.
+    inverse: [f64; 2],
 }
 
 impl<'a> FreePatch<'a> {
@@ -252,7 +272,15 @@ impl<'a> FreePatch<'a> {
             }
         }
         let touches = |corners: &[usize; 4]| corners.iter().any(|vertex| free[*vertex].is_some());
-        let cells = cells(grid).filter(|cell| touches(&corners(grid, *cell)));
+        let cells = cells(grid).filter_map(|cell| {
+            let corners = corners(grid, cell);
+            touches(&corners).then(|| PatchCell {
+                cell,
+                corners: corners.map(of_u32),
+                numbers: corners.map(|vertex| free[vertex].map_or(STAYS, of_u32)),
+                inverse: size(grid, cell).map(|side| 1.0 / side),
+            })
+        });
         let targets = targets.iter().copied();
         Some(Self {
             cells: cells.collect(),
@@ -327,7 +355,7 @@ impl<'a> FreePatch<'a> {
 
     fn least(&self, places: &[Point]) -> f64 {
         let cells = self.cells.iter();
-        let least = cells.map(|cell| least_corner(self.grid, places, *cell));
+        let least = cells.map(|of| least_corner(self.grid, places, of.cell));
         least.fold(f64::INFINITY, f64::min)
     }
 
@@ -341,34 +369,27 @@ impl<'a> FreePatch<'a> {
         cancelled: &dyn Fn() -> bool,
     ) -> f64 {
         slope.fill(Vec2::ZERO);
-        let mut add = |vertex: usize, d: Vec2| {
-            if let Some(number) = self.free[vertex] {
-                slope[number] += d;
-            }
-        };
         let mut sum = 0.0;
         for (index, cell) in self.cells.iter().enumerate() {
             if index % BETWEEN_CHECKS == BETWEEN_CHECKS - 1 && cancelled() {
                 return f64::INFINITY;
             }
-            for ([a, b, c], lengths) in each_corner(self.grid, *cell) {
-                let [u, v] = [
-                    (places[b] - places[a]) * (1.0 / lengths[0]),
-                    (places[c] - places[a]) * (1.0 / lengths[1]),
-                ];
-                let (energy, [du, dv]) = distortion(u, v, barrier);
-                let (du, dv) = (du * (1.0 / lengths[0]), dv * (1.0 / lengths[1]));
-                sum += energy;
-                add(b, du);
-                add(c, dv);
-                add(a, -(du + dv));
+            let of = |number: u32| slope.get(number as usize).copied().unwrap_or_default();
+            let mut slopes = cell.numbers.map(of);
+            sum = cell.add_distortion(places, barrier, sum, &mut slopes);
+            for (number, of_corner) in cell.numbers.iter().zip(slopes) {
+                if let Some(slope) = slope.get_mut(*number as usize) {
+                    *slope = of_corner;
+                }
             }
         }
         for target in &self.targets {
             let off = target.off(places);
             sum += 0.5 * weight * off.norm2();
             for (vertex, share) in target.corners.iter().zip(target.shares) {
-                add(*vertex, off * (weight * share));
+                if let Some(number) = self.free[*vertex] {
+                    slope[number] += off * (weight * share);
+                }
             }
         }
         sum
@@ -379,23 +400,63 @@ impl<'a> FreePatch<'a> {
 /// not; and its slope.
 fn softened(det: f64, barrier: f64) -> [f64; 2] {
     let root = (barrier * barrier + det * det).sqrt();
-    let soft = if det > 0.0 {
-        0.5 * (det + root)
-    } else {
-        // Without cancellation.
-        barrier * barrier / (2.0 * (root - det))
-    };
+    // Both without a branch, so that four corners fill vectors.
+    let [above, below] = [0.5 * (det + root), 0.5 * barrier * barrier / (root - det)];
+    let soft = if det > 0.0 { above } else { below };
     [soft, soft / root]
 }
 
-/// The distortion of a corner with these edges, in units of those at rest, and its slopes.
-fn distortion(u: Vec2, v: Vec2, barrier: f64) -> (f64, [Vec2; 2]) {
-    let det = u.cross(v);
-    let [soft, slope] = softened(det, barrier);
-    let size = 0.5 * (u.norm2() + v.norm2()) + 0.5 * AREA_WEIGHT * (det * det + 1.0);
-    let energy = size / soft;
-    let by_det = AREA_WEIGHT * det / soft - energy * slope / soft;
-    let du = u * (1.0 / soft) + Vec2::new(v.y, -v.x) * by_det;
-    let dv = v * (1.0 / soft) + Vec2::new(-u.y, u.x) * by_det;
-    (energy, [du, dv])
+impl PatchCell {
+    /// Adds the distortion of its corners to a sum, and its slopes to those of its corners.
+    fn add_distortion(
+        &self,
+        places: &[Point],
+        barrier: f64,
+        mut sum: f64,
+        slopes: &mut [Vec2; 4],
+    ) -> f64 {
+        let at = self.corners.map(|vertex| places[vertex as usize]);
+        let scale = |k: usize| self.inverse[k % 2];
+        // The edges of each corner, in units of those at rest.
+        let u: [Vec2; 4] = std::array::from_fn(|k| (at[(k + 1) % 4] - at[k]) * scale(k));
+        let v: [Vec2; 4] = std::array::from_fn(|k| (at[(k + 3) % 4] - at[k]) * scale(k + 1));
+        let edges = [
+            u.map(|u| u.x),
+            u.map(|u| u.y),
+            v.map(|v| v.x),
+            v.map(|v| v.y),
+        ];
+        let (energy, [ux, uy, vx, vy]) = distortions(edges, barrier);
+        for k in 0..4 {
+            let du = Vec2::new(ux[k], uy[k]) * scale(k);
+            let dv = Vec2::new(vx[k], vy[k]) * scale(k + 1);
+            sum += energy[k];
+            slopes[(k + 1) % 4] += du;
+            slopes[(k + 3) % 4] += dv;
+            slopes[k] += -(du + dv);
+        }
+        sum
+    }
+}
+
+/// Numbers of four corners, side by side, so that they fill vectors.
+type OfCorners = [f64; 4];
+
+/// The distortion of corners with the edges `[ux, uy, vx, vy]`, in units of those at rest, and its
+/// slopes.
+fn distortions([ux, uy, vx, vy]: [OfCorners; 4], barrier: f64) -> (OfCorners, [OfCorners; 4]) {
+    let (mut energies, mut slopes) = (OfCorners::default(), [OfCorners::default(); 4]);
+    for k in 0..4 {
+        let (u, v) = (Vec2::new(ux[k], uy[k]), Vec2::new(vx[k], vy[k]));
+        let det = u.cross(v);
+        let [soft, slope] = softened(det, barrier);
+        let size = 0.5 * (u.norm2() + v.norm2()) + 0.5 * AREA_WEIGHT * (det * det + 1.0);
+        let energy = size / soft;
+        let by_det = AREA_WEIGHT * det / soft - energy * slope / soft;
+        let du = u * (1.0 / soft) + Vec2::new(v.y, -v.x) * by_det;
+        let dv = v * (1.0 / soft) + Vec2::new(-u.y, u.x) * by_det;
+        energies[k] = energy;
+        [slopes[0][k], slopes[1][k], slopes[2][k], slopes[3][k]] = [du.x, du.y, dv.x, dv.y];
+    }
+    (energies, slopes)
 }
