@@ -86,6 +86,10 @@ async fn a_folding_pose_has_no_fold_and_positions_follow_what_is_drawn() {
         let report = json_of(&server, "/report", warp.clone()).await;
         assert_eq!(report["folds"]["cells"], 0, "{method} {report}");
         assert_eq!(report["round_trip"]["missing"], 0, "{method} {report}");
+        let removed = &report["folds"]["removed"];
+        let is_told = |name: &str| removed[name].as_u64().unwrap() > 0;
+        assert!(is_told("factors") && is_told("cells"), "{method} {report}");
+        assert!(removed["mended"].is_u64(), "{method} {report}");
         let residuals = report["residuals"].as_array().unwrap();
         let met = |residual: &Value| residual.as_f64().unwrap() < 0.05;
         assert!(residuals.iter().all(met), "{method} {report}");

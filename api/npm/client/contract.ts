@@ -321,7 +321,8 @@ export type Metric = "euclidean" | "geodesic";
 /**
  * What belongs to the mask of the metric `geodesic` and the method `arap`: pixels whose
  * alpha, times the region if there is one, is above this share of full alpha. Other visible
- * pixels go with the nearest of these.
+ * pixels go with the nearest of these that they touch, themselves or through others; those
+ * that touch none stay where they are.
  */
 export type Mask = {
   threshold?: number;
@@ -623,6 +624,24 @@ export type ReportAnswer = {
      * groups.
      */
     boxes: ([number | null, number | null, number | null, number | null])[];
+    /**
+     * What was done to remove folds; absent where none were.
+     */
+    removed?: {
+      /**
+       * The number of maps whose product is drawn.
+       */
+      factors: number;
+      /**
+       * Cells that fold if folds are not removed.
+       */
+      cells: number;
+      /**
+       * Cells that the product folds, or nearly, so that their vertices and those around them are
+       * moved.
+       */
+      mended: number;
+    };
   };
   /**
    * Whether most of the image, by its area at rest, is turned over.

@@ -3,7 +3,9 @@
 use mlswarp::deform::Class;
 use mlswarp::geometry::{FoldRegions, Orientation, Point, Summary};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, CoordinateFrame, Quality, RoundTrip, ToleranceQuality};
+use mlswarp::warp::{
+    Alignment, CoordinateFrame, Quality, RemovedFolds, RoundTrip, ToleranceQuality,
+};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::{AsJson, EXTENT, WarningEntry, WarpObject, WarpPatch, fields, json, size};
@@ -71,6 +73,7 @@ impl Serialize for ReportAnswer<'_> {
         let Quality {
             residuals,
             folds,
+            removed,
             orientation,
             distortion,
             canvas,
@@ -82,7 +85,7 @@ impl Serialize for ReportAnswer<'_> {
         let picture = self.picture;
         let mut object = s.serialize_map(Some(15))?;
         object.serialize_entry("residuals", residuals)?;
-        object.serialize_entry("folds", &AsJson((folds, picture)))?;
+        object.serialize_entry("folds", &AsJson((folds, *removed, picture)))?;
         object.serialize_entry("mirrored", &(*orientation == Orientation::Mirrored))?;
         object.serialize_entry("area_factor", &distortion.area_factor.map(AsJson))?;
         object.serialize_entry("shear", &distortion.shear.map(AsJson))?;
@@ -101,7 +104,7 @@ impl Serialize for ReportAnswer<'_> {
 }
 
 /// Folds, with boxes in the frame of a picture.
-impl Serialize for AsJson<(&FoldRegions, Option<CoordinateFrame>)> {
+impl Serialize for AsJson<(&FoldRegions, Option<RemovedFolds>, Option<CoordinateFrame>)> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let (
             FoldRegions {
@@ -110,6 +113,7 @@ impl Serialize for AsJson<(&FoldRegions, Option<CoordinateFrame>)> {
                 regions,
                 boxes,
             },
+            removed,
             picture,
         ) = self.0;
         let corner = |x, y| {
@@ -122,11 +126,29 @@ impl Serialize for AsJson<(&FoldRegions, Option<CoordinateFrame>)> {
             [first.x, first.y, last.x, last.y]
         };
         let boxes: Vec<[f64; 4]> = boxes.iter().map(shown).collect();
-        let mut object = s.serialize_map(Some(4))?;
+        let mut object = s.serialize_map(Some(4 + usize::from(removed.is_some())))?;
         object.serialize_entry("cells", cells)?;
         object.serialize_entry("share", share)?;
         object.serialize_entry("regions", regions)?;
         object.serialize_entry("boxes", &boxes)?;
+        if let Some(removed) = removed {
+            object.serialize_entry("removed", &AsJson(removed))?;
+        }
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<RemovedFolds> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let RemovedFolds {
+            factors,
+            cells,
+            mended,
+        } = self.0;
+        let mut object = s.serialize_map(Some(3))?;
+        object.serialize_entry("factors", &factors)?;
+        object.serialize_entry("cells", &cells)?;
+        object.serialize_entry("mended", &mended)?;
         object.end()
     }
 }

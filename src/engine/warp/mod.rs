@@ -74,7 +74,7 @@ pub use self::pixel_positions::MapDirection;
 pub(crate) use self::pixel_positions::PixelPositions;
 pub use self::plausibility::Seen;
 pub use self::posed_mesh::{PosedMesh, Report};
-pub use self::quality::{Quality, RoundTrip, ToleranceQuality};
+pub use self::quality::{Quality, RemovedFolds, RoundTrip, ToleranceQuality};
 pub use self::quantity::Quantity;
 pub use self::raster_source::RasterSource;
 pub use self::region::Region;

@@ -8,7 +8,9 @@ use super::plausibility::PosedHandles;
 use super::resolved_rest::FINE_BYTES;
 #[cfg(feature = "unfold")]
 use super::unfolded::Unfolded;
-use super::{CompiledRest, Digest, Folds, Region, ResolvedRest, Units, Warning, WarpError};
+use super::{
+    CompiledRest, Digest, Folds, Region, RemovedFolds, ResolvedRest, Units, Warning, WarpError,
+};
 #[cfg(feature = "codec")]
 use super::{OutputSpec, RasterSource, Target};
 use crate::deform::{self, Conflict, IsCancelled, Pose, PosedMap, RestDeformation};
@@ -233,6 +235,15 @@ impl PosedMesh {
         return self.unfolded.is_some();
         #[cfg(not(feature = "unfold"))]
         false
+    }
+
+    /// What was done to remove folds, if some were.
+    #[must_use]
+    pub fn removed_folds(&self) -> Option<RemovedFolds> {
+        #[cfg(feature = "unfold")]
+        return self.unfolded.as_ref().map(|of| of.removed());
+        #[cfg(not(feature = "unfold"))]
+        None
     }
 
     #[cfg(feature = "unfold")]

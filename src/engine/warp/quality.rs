@@ -34,6 +34,8 @@ pub struct Quality {
     pub residuals: Vec<Option<f64>>,
     /// Where the grid folds.
     pub folds: FoldRegions,
+    /// What was done to remove folds, if some were.
+    pub removed: Option<RemovedFolds>,
     /// The orientation of most of the picture.
     pub orientation: Orientation,
     /// The distortion of the grid's cells.
@@ -48,6 +50,18 @@ pub struct Quality {
     pub coincident: Vec<Conflict>,
     /// The round trip of the inverse.
     pub round_trip: RoundTrip,
+}
+
+/// What it took to remove the folds of a pose (mathematics 9.3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RemovedFolds {
+    /// Maps whose product is drawn.
+    pub factors: u64,
+    /// Cells that fold if folds are not removed.
+    pub cells: u64,
+    /// Cells that the product folded, or nearly, so that their vertices and those around them were
+    /// moved.
+    pub mended: u64,
 }
 
 /// Whether the drawn picture is within a distance of the exact map.
@@ -104,6 +118,7 @@ impl Quality {
             folds: mesh
                 .fold_regions(orientation, MOST_REGIONS, cancelled)
                 .ok_or(WarpError::Cancelled)?,
+            removed: posed.removed_folds(),
             orientation,
             distortion: mesh
                 .distortion(orientation, cancelled)

@@ -3,7 +3,7 @@
 
 use std::sync::OnceLock;
 
-use super::{ResolvedRest, Task, WarpError, system_bytes, work};
+use super::{RemovedFolds, ResolvedRest, Task, WarpError, system_bytes, work};
 use crate::deform::{
     DeformError, FoldFree, FoldFreeError, Handle, IsCancelled, Pose, ProductFactor, ProductWork,
 };
@@ -23,6 +23,7 @@ pub(super) struct Unfolded {
     factors: OnceLock<Vec<ProductFactor>>,
     /// Of the linear systems of all factors, bytes.
     system_bytes: u64,
+    removed: RemovedFolds,
 }
 
 impl Unfolded {
@@ -48,7 +49,12 @@ impl Unfolded {
 
     /// The number of factors.
     pub(super) const fn factors(&self) -> u64 {
-        self.product.count() as u64
+        self.removed.factors
+    }
+
+    /// What was done.
+    pub(super) const fn removed(&self) -> RemovedFolds {
+        self.removed
     }
 
     /// Memory without the factors, bytes.
@@ -122,15 +128,22 @@ impl ResolvedRest {
         let of_evaluation = (self.grid().len() as u64).saturating_mul(work::CELL_OPERATIONS);
         let evaluations = u32::try_from(left / of_evaluation.max(1)).unwrap_or(u32::MAX);
         let mended = untangle(&mesh, &self.targets(pose), evaluations, cancelled);
-        let mesh = mended.ok_or(WarpError::Cancelled)?.mesh;
+        let mended = mended.ok_or(WarpError::Cancelled)?;
+        let folded = plain.folding(cancelled).ok_or(WarpError::Cancelled)?;
         let handles = self.field().handles().handles().len() as u64;
         let of_factor = system_bytes(self.field().method(), handles);
+        let removed = RemovedFolds {
+            factors: product.count() as u64,
+            cells: folded.cells,
+            mended: mended.mended,
+        };
         let unfolded = Unfolded {
-            system_bytes: of_factor * product.count() as u64,
+            system_bytes: of_factor * removed.factors,
             product,
             factors: OnceLock::new(),
+            removed,
         };
-        Ok(Some((mesh, unfolded)))
+        Ok(Some((mended.mesh, unfolded)))
     }
 
     fn unfold_error(&self, error: FoldFreeError) -> WarpError {
