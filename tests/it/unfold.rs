@@ -87,9 +87,11 @@ async fn a_folding_pose_has_no_fold_and_positions_follow_what_is_drawn() {
         assert_eq!(report["folds"]["cells"], 0, "{method} {report}");
         assert_eq!(report["round_trip"]["missing"], 0, "{method} {report}");
         let removed = &report["folds"]["removed"];
-        let is_told = |name: &str| removed[name].as_u64().unwrap() > 0;
-        assert!(is_told("factors") && is_told("cells"), "{method} {report}");
-        assert!(removed["mended"].is_u64(), "{method} {report}");
+        // The spline only nearly folds, which no cell that is drawn shows.
+        let figure = |name: &str| removed[name].as_u64().unwrap();
+        assert!(figure("factors") > 1, "{method} {report}");
+        assert_eq!(figure("cells") > 0, method != "tps", "{method} {report}");
+        assert!(figure("mended") <= figure("cells"), "{method} {report}");
         let residuals = report["residuals"].as_array().unwrap();
         let met = |residual: &Value| residual.as_f64().unwrap() < 0.05;
         assert!(residuals.iter().all(met), "{method} {report}");
@@ -182,7 +184,7 @@ async fn methods_and_metrics_without_such_a_map_are_refused() {
         }
     }
     // Work is refused before it is done.
-    let small = Server::start(&["--max-work", "1000000"]).await;
+    let small = Server::start(&["--max-work", "100000"]).await;
     let body = with(
         warp(PULLED_FAR, json!({})),
         json!({"extent": SIZE, "grid": {"columns": 2, "rows": 2}}),

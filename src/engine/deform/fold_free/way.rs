@@ -9,6 +9,8 @@ use crate::geometry::{Point, Vec2};
 
 /// Bisections for the share of the way of a rotation, whose displacements are not linear in it.
 const BISECTIONS: u32 = 9;
+/// Coefficients of a table that an operation poses.
+const COEFFICIENTS_PER_OPERATION: u64 = 16;
 /// A larger table is not made.
 const MOST_TABLE_BYTES: u64 = 32 << 20;
 
@@ -56,6 +58,7 @@ impl Way<'_> {
             let vertices: Vec<_> = places.iter().map(|v| (*v, ON_PLANE)).collect();
             Some(CoefficientTable::of_cut(self.field, &vertices, cancelled).ok_or(CANCELLED)?)
         };
+        let of_table = 1 + self.field.terms() as u64 / COEFFICIENTS_PER_OPERATION;
         let mut mapped = |share: f64| -> Result<Vec<Point>, FoldFreeError> {
             let pose = pose_of(share)?;
             let Some(table) = &table else {
@@ -63,7 +66,7 @@ impl Way<'_> {
                 let mapped = mapped((self.field, &pose), places, false, cancelled);
                 return Ok(mapped.ok_or(CANCELLED)?);
             };
-            work.take(lattice.len())?;
+            work.take(lattice.len().saturating_mul(of_table))?;
             let (moved, _) = table.displace(&pose, cancelled).ok_or(CANCELLED)?;
             let moved = places.iter().zip(moved);
             Ok(moved
