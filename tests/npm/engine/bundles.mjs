@@ -102,19 +102,24 @@ function source(name, from) {
 /** What the page reports, which Chromium shows. */
 async function shown(address) {
   const report = new Promise((resolve) => (heard = resolve));
-  const browser = spawn("chromium-headless-shell", [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    `--user-data-dir=${join(work, "chromium")}`,
-    address,
-  ]);
+  // Debian's is a script that starts the browser: both are ended as one group.
+  const browser = spawn(
+    "chromium-headless-shell",
+    [
+      "--headless",
+      "--no-sandbox",
+      "--disable-gpu",
+      `--user-data-dir=${join(work, "chromium")}`,
+      address,
+    ],
+    { detached: true },
+  );
   const late = new Promise((resolve) =>
     setTimeout(resolve, 300_000, "nothing within five minutes"),
   );
   const text = await Promise.race([report, late]);
   const ended = once(browser, "exit");
-  browser.kill();
+  process.kill(-browser.pid);
   await ended;
   return text;
 }
