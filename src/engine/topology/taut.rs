@@ -9,14 +9,15 @@ use crate::geometry::Point;
 const MOST_BENDS: u32 = 6;
 /// Positions this near to the edge of a triangle count as inside, px.
 const ON_EDGE: f64 = 1e-5;
-/// So many corners of a line are looked at without a search for the first one.
+/// Where rows have at most this many corners on average, all are looked at, without a search for the
+/// first of each.
 const FEW_CORNERS: usize = 8;
 /// A corner bends a path if it is at least this far from the straight line, px.
 const OFF_LINE: f64 = 1e-9;
 
 impl Nodes {
     /// The corners of the tight path from `from` to `to`, which it does not see, inside the
-    /// triangle with the vertex `apex`, in their order. False if there is none.
+    /// triangle with the vertex `apex`, in their order. False if it finds no such path.
     pub(super) fn pull_tight(
         &self,
         [from, apex, to]: [Point; 3],

@@ -102,24 +102,20 @@ function source(name, from) {
 /** What the page reports, which Chromium shows. */
 async function shown(address) {
   const report = new Promise((resolve) => (heard = resolve));
-  // Debian's is a script that starts the browser: both are ended as one group.
-  const browser = spawn(
-    "chromium-headless-shell",
-    [
-      "--headless",
-      "--no-sandbox",
-      "--disable-gpu",
-      `--user-data-dir=${join(work, "chromium")}`,
-      address,
-    ],
-    { detached: true },
-  );
+  // The browser itself: the script of its name in PATH would be ended without it.
+  const browser = spawn("/usr/lib/chromium/chromium-headless-shell", [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    `--user-data-dir=${join(work, "chromium")}`,
+    address,
+  ]);
   const late = new Promise((resolve) =>
     setTimeout(resolve, 300_000, "nothing within five minutes"),
   );
   const text = await Promise.race([report, late]);
   const ended = once(browser, "exit");
-  process.kill(-browser.pid);
+  browser.kill();
   await ended;
   return text;
 }

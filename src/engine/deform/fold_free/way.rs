@@ -14,8 +14,8 @@ const COEFFICIENTS_PER_OPERATION: u64 = 16;
 /// A larger table is not made.
 const MOST_TABLE_BYTES: u64 = 32 << 20;
 
-/// Of the table of a rotation on this many positions, which is posed for each share of the way; 0
-/// if there is none.
+/// Bytes of the table that a rotation poses for each share of its way, for this many positions; 0
+/// where no table is made.
 pub(super) fn table_bytes(field: &RestDeformation, positions: u64) -> u64 {
     let positions = usize::try_from(positions).unwrap_or(usize::MAX);
     let bytes = CoefficientTable::bytes_for(field, positions);

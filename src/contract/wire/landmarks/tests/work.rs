@@ -176,7 +176,7 @@ fn cost(file: &LandmarkFiles) -> (usize, u64) {
 
 #[test]
 fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
-    const SIZE: usize = 128 << 10;
+    const SIZE: usize = 256 << 10;
     let mut wrong = Vec::new();
     for (small, large) in files(SIZE).zip(files(2 * SIZE)) {
         let what = start(&small);
