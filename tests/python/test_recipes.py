@@ -2,7 +2,7 @@
 runs on stand-ins with their names, which are arrays, unless the library itself is installed, as it
 is by `tests/run --full`."""
 
-import importlib
+import importlib.util
 import runpy
 import sys
 import types
@@ -79,9 +79,8 @@ def stand_ins():
 
 @pytest.fixture
 def vision(monkeypatch):
-    try:
-        importlib.import_module("torchvision.transforms.v2")
-    except ImportError:
+    # One that is there and cannot be imported is a failure, no reason for stand-ins.
+    if importlib.util.find_spec("torchvision") is None:
         for name, content in stand_ins().items():
             module = types.ModuleType(name)
             module.__dict__.update(content)
@@ -89,7 +88,7 @@ def vision(monkeypatch):
             parent, _, last = name.rpartition(".")
             if parent:
                 setattr(sys.modules[parent], last, module)
-    return sys.modules["torch"], importlib.import_module("torchvision.tv_tensors")
+    return importlib.import_module("torch"), importlib.import_module("torchvision.tv_tensors")
 
 
 def test_torchvision_moves_everything_alike(vision):
