@@ -1,12 +1,16 @@
 // Writes element/index.js: the element, the modules of the page that it is made of, and the client,
-// in one file.
+// in one file. For notebooks there is another with the engine, which is committed, so that who builds
+// the package for Python needs no npm.
 //
 //     node bundle.mjs
+//     node bundle.mjs --widget    writes api/python/python/mlswarp/_widget.js too
+//     node bundle.mjs --check     says whether that is of these sources
 
+import { readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 
-const root = new URL("../../", import.meta.url);
 /** esbuild: in `node_modules` here or above, or where a step of the tests has installed it. */
 function esbuild() {
   const places = [".", "../../tests/artefacts/npm/", "../../tests/artefacts/npm-engine/"];
@@ -45,15 +49,56 @@ const outline = {
   },
 };
 
-await build({
-  entryPoints: [fileURLToPath(new URL("src/web/element/element.js", root))],
-  outfile: fileURLToPath(new URL("element/index.js", import.meta.url)),
-  bundle: true,
-  plugins: [engine, outline],
-  format: "esm",
-  target: "es2022",
-  minify: true,
-  loader: { ".css": "text" },
-  legalComments: "none",
-  logLevel: "warning",
-});
+// The widget has the engine in its file, and its worker as text.
+const inside = {
+  name: "inside",
+  /** @param {import("esbuild").PluginBuild} build */
+  setup(build) {
+    const path = fileURLToPath(new URL("widget/engine.js", import.meta.url));
+    build.onResolve({ filter: /^\.\.\/\.\.\/.*engine\/worker-engine\.js$/ }, () => ({ path }));
+    const namespace = "bundled";
+    build.onResolve({ filter: /^bundled:/ }, ({ path, resolveDir }) => ({
+      path: resolve(resolveDir, path.slice(namespace.length + 1)),
+      namespace,
+    }));
+    build.onLoad({ filter: /./, namespace }, async ({ path }) => ({
+      contents: await bundle(path, []),
+      loader: "text",
+    }));
+  },
+};
+
+/**
+ * A module and what it imports as one text.
+ *
+ * @param {string} path
+ * @param {import("esbuild").Plugin[]} plugins
+ */
+async function bundle(path, plugins) {
+  const { outputFiles } = await build({
+    entryPoints: [path],
+    bundle: true,
+    plugins,
+    format: "esm",
+    target: "es2022",
+    minify: true,
+    loader: { ".css": "text" },
+    legalComments: "none",
+    logLevel: "warning",
+    write: false,
+  });
+  return outputFiles[0].text;
+}
+
+const here = (/** @type {string} */ name) => fileURLToPath(new URL(name, import.meta.url));
+const element = here("../../src/web/element/element.js");
+writeFileSync(here("element/index.js"), await bundle(element, [engine, outline]));
+
+const [, , wish] = process.argv;
+if (wish) {
+  const widget = await bundle(here("widget/widget.js"), [inside, outline]);
+  const committed = here("../python/python/mlswarp/_widget.js");
+  if (wish === "--widget") writeFileSync(committed, widget);
+  else if (readFileSync(committed, "utf8") !== widget)
+    throw new Error("_widget.js is not of these sources: node api/npm/bundle.mjs --widget");
+}

@@ -3,17 +3,12 @@
 
 import { Engine as FileEngine } from "./index.js";
 import packed from "./inline-wasm.js";
+import { unpacked } from "./unpack.js";
 
 export * from "./index.js";
 
 /** @type {Promise<WebAssembly.Module> | undefined} */
 let module;
-
-async function unpacked() {
-  const gzip = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
-  const stream = new Blob([gzip]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return WebAssembly.compile(await new Response(stream).arrayBuffer());
-}
 
 /** As that of `mlswarp/engine`; nothing is fetched. */
 export class Engine extends FileEngine {
@@ -22,7 +17,7 @@ export class Engine extends FileEngine {
    * @param {import("./index.js").Source | Promise<WebAssembly.Module>} [source]
    * @returns {Promise<Engine>}
    */
-  static async load(source = (module ??= unpacked())) {
+  static async load(source = (module ??= unpacked(packed))) {
     return super.load(await source);
   }
 }

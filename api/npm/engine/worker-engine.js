@@ -270,15 +270,16 @@ export class WorkerEngine {
   }
 
   /**
-   * Starts a worker. `wasm`: another place of `mlswarp.wasm`; `worker`: another place of
-   * `engine/worker.js`. `EngineCrashed` if it cannot be loaded.
+   * Starts a worker. `wasm`: another place of `mlswarp.wasm`, or what was compiled of it; `worker`:
+   * another place of `engine/worker.js`. `EngineCrashed` if it cannot be loaded.
    *
-   * @param {{ wasm?: URL | string, worker?: URL | string }} [options]
+   * @param {{ wasm?: URL | string | WebAssembly.Module, worker?: URL | string }} [options]
    * @returns {Promise<WorkerEngine>}
    */
   static async spawn({ wasm, worker } = {}) {
     const calls = new Calls(worker ? importing(new URL(worker, location.href).href) : started());
-    await calls.call(0, "load", [wasm && new URL(wasm, location.href).href]);
+    const isCompiled = wasm === undefined || wasm instanceof WebAssembly.Module;
+    await calls.call(0, "load", [isCompiled ? wasm : new URL(wasm, location.href).href]);
     return new WorkerEngine(calls);
   }
 
