@@ -13,6 +13,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+# Debian's Chromium, with WebGL by the processor, and where its screenshots are.
+CHROMIUM = os.environ.get("MLSWARP_CHROMIUM", "/usr/bin/chromium-headless-shell")
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PICTURES = ROOT / "tests/artefacts/python/pictures"
 
 
 class Server:

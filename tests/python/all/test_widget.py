@@ -4,7 +4,6 @@ notebook does."""
 import doctest
 import importlib
 import json
-import os
 import subprocess
 import sys
 from base64 import b64encode
@@ -19,11 +18,10 @@ from mlswarp.widget import WarpWidget
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from conftest import CAT_SIZE, ROOT
+from conftest import CAT_SIZE, CHROMIUM, FLAGS, PICTURES, ROOT
 
 P = ((168.0, 112.0), (316.0, 136.0), (262.0, 240.0))
 Q = ((150.0, 104.0), (338.0, 126.0), (262.0, 262.0))
-PICTURES = ROOT / "tests/artefacts/python/pictures"
 
 
 @pytest.fixture(scope="module")
@@ -115,13 +113,10 @@ def test_the_extra_is_asked_for_only_by_the_widget(monkeypatch):
 
 
 @pytest.fixture
-def notebook(monkeypatch):
+def notebook():
     """A page of a site that has nothing else."""
-    monkeypatch.setenv("PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD", "1")
-    program = os.environ.get("MLSWARP_CHROMIUM", "/usr/bin/chromium-headless-shell")
-    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         page = browser.new_page(viewport={"width": 640, "height": 760})
         trouble = []
         page.on("pageerror", lambda error: trouble.append(str(error)))
@@ -188,7 +183,6 @@ def test_a_drag_in_a_notebook_is_seen_by_python(notebook, pixels):
     drawn = np.asarray(Image.open(BytesIO(bytes(file))).convert("RGBA"))
     inside = drawn[:, :, 3] == 255
     assert (drawn[inside, :3] == widget.result()[inside]).all() and inside.mean() > 0.9
-    PICTURES.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=PICTURES / "widget.png")
 
     # What Python sets, both views show; what one of them adds, Python has.
