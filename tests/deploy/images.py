@@ -229,7 +229,8 @@ def copied(place):
 
 
 def build(engine, tag=IMAGE, *options):
-    """Builds deploy/Dockerfile unchanged, on the network of the host."""
+    """Builds deploy/Dockerfile unchanged, on the network of the host. Only the long form, which
+    measures and compares programs, optimises across crates as a release does."""
     base = builder_image(engine)
     with (
         timed(
@@ -238,7 +239,9 @@ def build(engine, tag=IMAGE, *options):
         tempfile.TemporaryDirectory(dir=CACHE) as place,
     ):
         files = copied(Path(place) / "src")
-        given = ["--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options]
+        lto = "thin" if os.environ.get("MLSWARP_TESTS_FULL") else "off"
+        settings = ["--build-arg", f"BUILDER={base}", "--build-arg", f"LTO={lto}"]
+        given = ["--network=host", *settings, *build_options(), *options]
         engine.build(*given, "-f", files / "deploy/Dockerfile", "-t", tag, files)
 
 

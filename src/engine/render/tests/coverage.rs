@@ -429,7 +429,8 @@ fn cells_without_area_paint_nothing() {
 fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
     let (mut worst, mut mended) = (0.0_f64, 0);
     let target = extent(200, 200);
-    for seed in 0..120 {
+    let is_full = std::env::var_os("MLSWARP_TESTS_FULL").is_some();
+    for seed in 0..if is_full { 120 } else { 30 } {
         let mut noise = Noise(seed);
         let mut random = || noise.signed().abs();
         let grid = Grid::with_cell(200.0, 200.0, 3.0 + 12.0 * random());
@@ -509,7 +510,7 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
         }
     }
     assert!(worst < 1.0 / 16.0, "{worst} px");
-    assert!(mended > 1000, "{mended} rows");
+    assert!(mended > if is_full { 1000 } else { 250 }, "{mended} rows");
 }
 
 /// Single wedge-shaped cells: along a row t is far from linear, however the row is split.
