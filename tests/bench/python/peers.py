@@ -18,6 +18,7 @@ from pathlib import Path
 
 import cv2
 import mlswarp
+import molesq
 import numpy as np
 import skimage.transform
 from PIL import Image
@@ -84,11 +85,6 @@ def contestants(image, p, q):
         "skimage ThinPlateSplineTransform": thin_plate,
         "skimage PiecewiseAffineTransform": piecewise,
     }
-    try:
-        import molesq
-    except ImportError:
-        return rows, pose
-
     def molesq_warp():
         flipped = [np.asarray(one)[:, ::-1] for one in (p, q)]
         # Affine, and bilinear like the others.
@@ -98,7 +94,8 @@ def contestants(image, p, q):
     return {**rows, "molesq": molesq_warp}, pose
 
 
-def table(name, image, threads, slow):
+def table(name, image, threads, slow, rounds=ROUNDS):
+    """Prints the times; returns what did not run."""
     mlswarp.set_num_threads(threads)
     cv2.setNumThreads(threads)
     height, width = image.shape[:2]
@@ -108,7 +105,7 @@ def table(name, image, threads, slow):
     timed, pose = contestants(image, p, q)
     times = {row: [] for row in timed}
     skipped = {}
-    for turn in range(ROUNDS + 1):
+    for turn in range(rounds + 1):
         for row, work in timed.items():
             # What takes long is timed once, and not at all on the larger image.
             if row in skipped or row in slow and (times[row] or width > SMALL):
@@ -135,16 +132,17 @@ def table(name, image, threads, slow):
             continue
         least = min(found)
         print(f"| {row:<50} | {1e3 * least:>9.2f} | {least / base:>8.2f} |")
+    return skipped
 
 
-def overhead(image):
+def overhead(image, rounds=300):
     """What Python adds to the time in the engine: arrays in and out, handles as JSON, the pool."""
     mlswarp.set_num_threads(1)
     plan = mlswarp.Plan([[100, 100], [400, 400]], like=image)
     pose = plan.pose([[110, 100], [400, 390]])
     output, shape = b'{"output":{}}', image.shape
     whole, inside = [], []
-    for _ in range(300):
+    for _ in range(rounds):
         begun = time.perf_counter()
         pose.warp(image)
         whole.append(time.perf_counter() - begun)

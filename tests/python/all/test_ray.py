@@ -8,13 +8,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pytest
 from mlswarp.augment import RandomWarp
 from PIL import Image
 
 from conftest import ROOT
-
-ray = pytest.importorskip("ray")
 
 CODE = """
 import runpy, sys, ray
