@@ -85,6 +85,7 @@ def contestants(image, p, q):
         "skimage ThinPlateSplineTransform": thin_plate,
         "skimage PiecewiseAffineTransform": piecewise,
     }
+
     def molesq_warp():
         flipped = [np.asarray(one)[:, ::-1] for one in (p, q)]
         # Affine, and bilinear like the others.

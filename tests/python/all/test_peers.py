@@ -16,6 +16,13 @@ def test_all_peers_run(capsys):
     assert peers["table"]("120 x 90", image, 1, set(), rounds=1) == {}
     peers["overhead"](np.asarray(Image.open(PICTURE).convert("RGB")), rounds=3)
     shown = capsys.readouterr().out
-    for name in ("mlswarp: pose and warp", "cv2.remap", "NumPy", "ThinPlate", "Piecewise", "molesq"):
+    for name in (
+        "mlswarp: pose and warp",
+        "cv2.remap",
+        "NumPy",
+        "ThinPlate",
+        "Piecewise",
+        "molesq",
+    ):
         assert name in shown
     assert "overhead of Python" in shown
