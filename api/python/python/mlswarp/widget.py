@@ -1,4 +1,4 @@
-"""A widget for notebooks (JupyterLab, VS Code, Colab, marimo): an image whose handles are dragged.
+"""A widget for notebooks (JupyterLab and others that run anywidget): handles on an image.
 
 Needs the extra ``widget``: ``pip install 'mlswarp[widget]'``. The engine runs in the browser, so
 that a drag asks nothing of the kernel; results are computed here.
