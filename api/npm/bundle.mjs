@@ -96,7 +96,8 @@ writeFileSync(here("element/index.js"), await bundle(element, [engine, outline])
 
 const [, , wish] = process.argv;
 if (wish) {
-  const widget = await bundle(here("widget/widget.js"), [inside, outline]);
+  const origin = "// Made by `node api/npm/bundle.mjs --widget`, of api/npm/widget/widget.js.\n";
+  const widget = origin + (await bundle(here("widget/widget.js"), [inside, outline]));
   const committed = here("../python/python/mlswarp/_widget.js");
   if (wish === "--widget") writeFileSync(committed, widget);
   else if (readFileSync(committed, "utf8") !== widget)

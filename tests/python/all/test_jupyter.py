@@ -12,8 +12,6 @@ from playwright.sync_api import sync_playwright
 
 from conftest import CHROMIUM, FLAGS, PICTURES
 
-pytest.importorskip("jupyterlab")
-
 CELLS = [
     """from mlswarp.widget import WarpWidget
 widget = WarpWidget("cat.png", [[168, 112], [316, 136], [262, 240]], height=300)

@@ -14,7 +14,7 @@ def test_all_peers_run(capsys):
     peers = runpy.run_path(str(ROOT / "tests/bench/python/peers.py"))
     image = np.asarray(Image.open(PICTURE).convert("RGB").resize((120, 90)))
     assert peers["table"]("120 x 90", image, 1, set(), rounds=1) == {}
-    peers["overhead"](np.asarray(Image.open(PICTURE).convert("RGB")), rounds=3)
+    peers["overhead"](rounds=3)
     shown = capsys.readouterr().out
     for name in (
         "mlswarp: pose and warp",

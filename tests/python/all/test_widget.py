@@ -97,8 +97,15 @@ def test_images_of_all_kinds(pixels, cat, tmp_path):
         assert widget.result().dtype == getattr(image, "dtype", np.uint8)
         with Image.open(BytesIO(widget.image_bytes)) as shown:
             assert shown.format == kind
-    with pytest.raises(mlswarp.BadImage):
-        WarpWidget(b"no image")
+
+
+def test_what_is_no_image_is_refused(pixels, cat, monkeypatch):
+    for broken in (b"", b"no image", cat[: len(cat) // 2], pixels[:0]):
+        with pytest.raises(mlswarp.BadImage):
+            WarpWidget(broken)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
+    with pytest.raises(mlswarp.TooLarge):
+        WarpWidget(cat)
     with pytest.raises(mlswarp.UnsupportedArray):
         WarpWidget(pixels.astype(float))
 

@@ -19,13 +19,13 @@ from ._files import _read
 from ._plan import Plan
 from ._pose import Pose
 from ._values import Handles, Image, ImageArray, image_array, json_handles
-from .errors import BadImage, InvalidWarp
+from .errors import BadImage, InvalidWarp, TooLarge
 
 try:
     import anywidget
     import traitlets
     from PIL import Image as Pictures
-    from PIL import ImageOps, UnidentifiedImageError
+    from PIL import ImageOps
 except ImportError as error:
     needed = "mlswarp.widget needs anywidget and Pillow: pip install 'mlswarp[widget]'"
     raise ImportError(needed) from error
@@ -159,14 +159,19 @@ def _opened(image: Any) -> tuple[ImageArray, bytes]:
     if not isinstance(image, (bytes, bytearray, memoryview, str, PathLike)):
         # A copy: what is shown stays what results are made of.
         pixels = image_array(image).copy()
+        if pixels.size == 0:
+            raise BadImage(f"image: no pixels in the shape {pixels.shape}", code="bad_image")
         return pixels, _png(pixels)
     file = _read(image)
     try:
         with Pictures.open(BytesIO(file)) as picture:
             kind = picture.format
             pixels = _pixels(ImageOps.exif_transpose(picture))
-    except UnidentifiedImageError as error:
-        raise BadImage("image: no image that Pillow reads", code="bad_image") from error
+    except Pictures.DecompressionBombError as error:
+        raise TooLarge(f"image: {error}", code="too_large") from error
+    # Of a file that is cut off, and of damaged chunks, besides those that are no image at all.
+    except (OSError, SyntaxError, ValueError) as error:
+        raise BadImage(f"image: Pillow cannot read it: {error}", code="bad_image") from error
     return pixels, file if kind in ("PNG", "JPEG") else _png(pixels)
 
 
