@@ -62,7 +62,8 @@ impl Pose {
     }
 
     /// Draws an image. `shape`: height, width, samples. `output`: a warp object with that alone.
-    /// `region`: a mask of the same height and width with its number of samples.
+    /// `region`: a mask of the same height and width with its number of samples. Second: the seconds
+    /// of the work in the engine; what Python adds is the rest.
     #[pyo3(signature = (image, shape, output, region=None))]
     fn warp(
         &self,
@@ -71,7 +72,7 @@ impl Pose {
         shape: (u32, u32, usize),
         output: &[u8],
         region: Option<Buffer<'_>>,
-    ) -> PyResult<Values> {
+    ) -> PyResult<(Values, f64)> {
         let (image, region) = (read_image(py, image, shape)?, read_buffer(py, region)?);
         let (posed, output) = (self.posed.clone(), output.to_vec());
         run(py, move |cancel| {
@@ -83,7 +84,8 @@ impl Pose {
                 posed = posed.within(&region)?;
             }
             let rendering = posed.render(&image)?.with(|spec| *spec = output);
-            Ok(Values::of_pixels(rendering.pixels()?).since(begun))
+            let values = Values::of_pixels(rendering.pixels()?);
+            Ok((values, begun.elapsed().as_secs_f64()))
         })
     }
 

@@ -1,15 +1,16 @@
-//! Numbers from NumPy's buffers and into them. They are copied while Python's lock is held: no
-//! thread of Python changes them meanwhile, and nothing here is unsafe.
-
-use std::time::{Duration, Instant};
+//! Numbers from NumPy's buffers, and arrays of NumPy. What comes is copied while Python's lock is
+//! held: no thread of Python changes it meanwhile, and nothing here is unsafe.
 
 use mlswarp::pixmap::{PixelFormat, Pixels, Samples};
 use mlswarp::warp::LabelValues;
 use mlswarp::{Image, LabelImage};
 use mlswarp_contract::problem::{Code, Problem};
-use pyo3::buffer::{Element, PyBuffer};
+use numpy::ndarray::ArrayD;
+use numpy::{Element, PyArray, PyArrayMethods, PyUntypedArray};
+use pyo3::buffer::PyBuffer;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+
+use crate::error::{exception, internal};
 
 #[derive(Debug)]
 enum Numbers {
@@ -20,70 +21,43 @@ enum Numbers {
     Doubles(Vec<f64>),
 }
 
-/// An array that was computed, until NumPy has room for it.
-#[pyclass(frozen, module = "mlswarp._engine")]
+/// An array that was computed, until it is one of NumPy's.
 #[derive(Debug)]
 pub(crate) struct Values {
     shape: Vec<usize>,
     numbers: Numbers,
-    work: Duration,
 }
 
-#[pymethods]
-impl Values {
-    #[getter]
-    fn shape<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, &self.shape)
-    }
+/// NumPy's array keeps the memory in which the numbers were computed: nothing is copied.
+impl<'py> IntoPyObject<'py> for Values {
+    type Target = PyUntypedArray;
+    type Output = Bound<'py, PyUntypedArray>;
+    type Error = PyErr;
 
-    /// The name of the type in NumPy.
-    #[getter]
-    const fn dtype(&self) -> &'static str {
+    fn into_pyobject(self, py: Python<'py>) -> PyResult<Self::Output> {
+        fn array<'py, T: Element>(
+            py: Python<'py>,
+            shape: Vec<usize>,
+            numbers: Vec<T>,
+        ) -> PyResult<Bound<'py, PyUntypedArray>> {
+            let array = ArrayD::from_shape_vec(shape, numbers)
+                .map_err(|error| internal(&error.to_string()))
+                .map_err(|problem| exception(py, &problem))?;
+            Ok(PyArray::from_owned_array(py, array).as_untyped().clone())
+        }
         match self.numbers {
-            Numbers::Bytes(_) => "uint8",
-            Numbers::Words(_) => "uint16",
-            Numbers::Integers(_) => "uint32",
-            Numbers::Singles(_) => "float32",
-            Numbers::Doubles(_) => "float64",
-        }
-    }
-
-    /// Seconds of the work in the engine, of an image: what Python adds is the rest.
-    #[getter]
-    const fn seconds(&self) -> f64 {
-        self.work.as_secs_f64()
-    }
-
-    /// Fills a buffer of this shape and type, whose rows have no gaps.
-    fn copy_to(&self, py: Python<'_>, out: &Bound<'_, PyAny>) -> PyResult<()> {
-        fn copy<T: Element>(py: Python<'_>, from: &[T], out: &Bound<'_, PyAny>) -> PyResult<()> {
-            PyBuffer::<T>::get(out)?.copy_from_slice(py, from)
-        }
-        match &self.numbers {
-            Numbers::Bytes(numbers) => copy(py, numbers, out),
-            Numbers::Words(numbers) => copy(py, numbers, out),
-            Numbers::Integers(numbers) => copy(py, numbers, out),
-            Numbers::Singles(numbers) => copy(py, numbers, out),
-            Numbers::Doubles(numbers) => copy(py, numbers, out),
+            Numbers::Bytes(numbers) => array(py, self.shape, numbers),
+            Numbers::Words(numbers) => array(py, self.shape, numbers),
+            Numbers::Integers(numbers) => array(py, self.shape, numbers),
+            Numbers::Singles(numbers) => array(py, self.shape, numbers),
+            Numbers::Doubles(numbers) => array(py, self.shape, numbers),
         }
     }
 }
 
 impl Values {
-    fn new(shape: Vec<usize>, numbers: Numbers) -> Self {
-        Self {
-            shape,
-            numbers,
-            work: Duration::ZERO,
-        }
-    }
-
-    /// The same, whose work began at this time.
-    pub(crate) fn since(self, begun: Instant) -> Self {
-        Self {
-            work: begun.elapsed(),
-            ..self
-        }
+    const fn new(shape: Vec<usize>, numbers: Numbers) -> Self {
+        Self { shape, numbers }
     }
 
     /// `[height][width][samples]`.

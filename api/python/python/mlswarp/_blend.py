@@ -15,7 +15,6 @@ from ._values import (
     Handles,
     Image,
     ImageArray,
-    array_of,
     image_array,
     json_handles,
     shape_of,
@@ -179,8 +178,7 @@ def _reference(reference: Any) -> Any:
 
 
 def _blended(native: _engine.Blend, frame: int) -> Blended:
-    values, landmarks, report = native.frame(frame)
-    image = array_of(values)
+    image, landmarks, report = native.frame(frame)
     found = json.loads(report)
     return Blended(
         image=image[:, :, 0] if image.shape[2] == 1 else image,

@@ -16,7 +16,6 @@ from ._values import (
     Coordinates,
     Image,
     ImageArray,
-    array_of,
     check_size,
     fill_out,
     image_array,
@@ -153,12 +152,11 @@ class Pose:
             check_size(mask, self._plan.size, "region")
         output = _output(canvas, width, filter=filter, outside=_outside(fill, shape_of(array)[2]))
         of_mask = None if mask is None else (mask, shape_of(mask))
-        values = self._live().warp(array, shape_of(array), output, of_mask)
-        height, wide, samples = values.shape
-        shape = (height, wide) if array.ndim == 2 else (height, wide, samples)
+        made, _ = self._live().warp(array, shape_of(array), output, of_mask)
+        if array.ndim == 2:
+            made = made[:, :, 0]
         if out is not None:
-            return fill_out(out, values, shape)
-        made = array_of(values).reshape(shape)
+            return fill_out(out, made)
         kind = np.asarray(image).dtype
         return made if made.dtype == kind else made.astype(kind)
 
@@ -175,21 +173,19 @@ class Pose:
         check_size(array, self._plan.size, "labels")
         carried, back = _carried(array)
         height, wide = array.shape
-        values = self._live().labels(carried, (height, wide), _output(canvas, width))
-        moved = array_of(values)
+        moved = self._live().labels(carried, (height, wide), _output(canvas, width))
         if back is not None:
             return back[moved].astype(array.dtype, copy=False)
         return moved.view(array.dtype.newbyteorder("=")).astype(array.dtype, copy=False)
 
     def coverage(self, *, canvas: Canvas = "same", width: int | None = None) -> NDArray[np.uint8]:
         """How much of each pixel the posed image covers, 0 to 255."""
-        made: NDArray[np.uint8] = array_of(self._live().coverage(_output(canvas, width)))
-        return made[:, :, 0]
+        return self._live().coverage(_output(canvas, width))[:, :, 0]
 
     def points(self, xy: Coordinates, *, inverse: bool = False) -> NDArray[np.float64]:
         """Where positions go, exactly; with `inverse`, which positions go there. As many rows as
         there were; NaN where nothing maps, and for NaN."""
-        return array_of(self._live().points(positions(xy), inverse))
+        return self._live().points(positions(xy), inverse)
 
     def boxes(self, ltrb: ArrayLike, *, inverse: bool = False) -> NDArray[np.float64]:
         """The boxes around what is in boxes: left, top, right, bottom, ``(n, 4)``. Their edges are
@@ -229,7 +225,7 @@ class Pose:
         `scipy.ndimage.map_coordinates`; ``forward``: where it goes. NaN where nothing is."""
         if direction not in ("inverse", "forward"):
             raise InvalidWarp(f"expected 'inverse' or 'forward'; found {direction!r}")
-        made: NDArray[np.float32] = array_of(self._live().map(direction == "forward"))
+        made = self._live().map(direction == "forward")
         made -= np.float32(0.5)
         return made
 
@@ -238,7 +234,7 @@ class Pose:
 
         The order of drawing (`depth`) is not in it.
         """
-        return array_of(self._live().mesh())
+        return self._live().mesh()
 
     def report(self) -> Report:
         """How good the pose is: residuals, folds, distortion."""

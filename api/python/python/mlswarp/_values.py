@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _engine
 from .errors import InvalidWarp, UnsupportedArray
 
 Coordinates: TypeAlias = ArrayLike
@@ -156,26 +155,16 @@ def positions(xy: Coordinates) -> NDArray[np.float64]:
     return array
 
 
-def array_of(values: _engine.Values) -> NDArray[Any]:
-    array = np.empty(values.shape, dtype=values.dtype)
-    if array.size:
-        values.copy_to(array)
-    return array
-
-
-def fill_out(out: NDArray[Any], values: _engine.Values, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Puts values into the array of a caller."""
-    if out.shape != shape or out.dtype != np.dtype(values.dtype):
+def fill_out(out: NDArray[Any], made: NDArray[Any]) -> NDArray[Any]:
+    """Puts a result into the array of a caller."""
+    if out.shape != made.shape or out.dtype != made.dtype:
         raise UnsupportedArray(
-            f"out: expected {values.dtype} of the shape {shape}; found {out.dtype}, {out.shape}",
+            f"out: expected {made.dtype} of the shape {made.shape}; found {out.dtype}, {out.shape}",
             code="unsupported_array",
         )
     if not out.flags.writeable:
         raise UnsupportedArray("out: the array is read-only", code="unsupported_array")
-    if out.flags.c_contiguous:
-        values.copy_to(out)
-    else:
-        out[...] = array_of(values).reshape(shape)
+    out[...] = made
     return out
 
 
