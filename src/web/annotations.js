@@ -7,6 +7,7 @@ import { wire } from "./edits.js";
 import { named } from "./handlesfile.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
 import { isRegionTool } from "./region.js";
+import { does } from "./service.js";
 import { annotationWords } from "./words.js";
 
 const GEOMETRIES = [
@@ -219,7 +220,14 @@ export class Annotations {
       this.#asking?.cancel.abort();
       this.#asking = null;
     }
-    if (!this.#of || !settled || this.#asking || this.#mapped?.revision === revision) return;
+    if (
+      !does.annotations ||
+      !this.#of ||
+      !settled ||
+      this.#asking ||
+      this.#mapped?.revision === revision
+    )
+      return;
     this.#asking = { revision, cancel: new AbortController() };
     this.#map(known(session).id, document, this.#asking, shown.report?.canvas ?? [0, 0]);
   }

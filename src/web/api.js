@@ -4,6 +4,7 @@
 import { acceptKey, keyHeaders, tokenSession } from "./access.js";
 import { boxFrom } from "./canvas.js";
 import { known } from "./dom.js";
+import { does, send } from "./service.js";
 
 /**
  * The members of a problem document (api/problems.md), and what the page adds. Others are read by
@@ -137,7 +138,7 @@ async function ask(method, path, { json, file, accept, signal, media } = {}) {
   };
   let response;
   try {
-    response = await fetch(path, {
+    response = await send(path, {
       method,
       headers,
       body: json ? JSON.stringify(json) : file,
@@ -190,13 +191,15 @@ function newName() {
  * @param {{ progress?: (percent: number) => void, signal?: AbortSignal }} how
  * @returns {Promise<Page.SessionObject>}
  */
-export function openSession(file, name, rest, { progress, signal }) {
+export async function openSession(file, name, rest, { progress, signal }) {
+  const form = new FormData();
+  form.append("image", file, name);
+  form.append("warp", new Blob([JSON.stringify(rest)], { type: "application/json" }));
+  const path = session(tokenSession() ?? newName());
+  if (!does.transport) return jsonOf(await ask("PUT", path, { file: form, signal }));
   return new Promise((resolve, reject) => {
-    const form = new FormData();
-    form.append("image", file, name);
-    form.append("warp", new Blob([JSON.stringify(rest)], { type: "application/json" }));
     const request = new XMLHttpRequest();
-    request.open("PUT", session(tokenSession() ?? newName()));
+    request.open("PUT", path);
     for (const [name, value] of Object.entries(keyHeaders())) request.setRequestHeader(name, value);
     request.upload.onprogress = (event) =>
       event.lengthComputable && progress?.((100 * event.loaded) / event.total);

@@ -8,7 +8,7 @@ import { Actions } from "./actions.js";
 import { Player } from "./player.js";
 import { BlendDialog } from "./blend.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
-import { find, findAll, known, listen, named, part } from "./dom.js";
+import { find, findAll, known, listen, part } from "./dom.js";
 import { filterOf, outsideOf, takesLinesOnly, takesPinsOnly } from "./edits.js";
 import { Annotations } from "./annotations.js";
 import { ExportDialog } from "./export.js";
@@ -26,6 +26,7 @@ import { isRegionTool, regionOf } from "./region.js";
 import { RegionTool } from "./regiontool.js";
 import { Pointer } from "./pointer.js";
 import { projectText } from "./project.js";
+import { does as service, limits, prepare } from "./service.js";
 import {
   warpedPicture,
   annotationsName,
@@ -51,15 +52,6 @@ import { View } from "./view.js";
 import { BEHIND, LINES_ONLY, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
 const queryFields = new URLSearchParams(location.search);
-const limitsText = named("limits");
-const limits = /** @type {Page.Limits} */ (
-  Object.fromEntries(
-    limitsText
-      .split(" ")
-      .map((pair) => pair.split("="))
-      .map(([name, value]) => [name, Number(value)]),
-  )
-);
 
 const stage = find("stage");
 const store = new Store();
@@ -67,8 +59,8 @@ const view = new View(stage, queryFields.get("webgl") !== "off");
 const sync = new Sync(
   store,
   view,
-  queryFields.get("socket") !== "off",
-  queryFields.get("plan") !== "off",
+  service.transport && queryFields.get("socket") !== "off",
+  service.transport && queryFields.get("plan") !== "off",
 );
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back), toast);
@@ -537,7 +529,7 @@ store.subscribe(({ problem }, previous) => {
 // Restore the last state, or open the link in the address.
 
 find("file").accept = [PICTURES, HANDLES, ANNOTATIONS].join();
-find("limits").textContent = limitWords(limits);
+find("limits").textContent = limitWords(limits, service.links);
 function begin() {
   const before = kept();
   const link = readLink(location.hash) && location.hash;
@@ -550,4 +542,5 @@ addEventListener(
   () => readLink(location.hash) && location.hash !== opener.link && opener.openLink(location.hash),
 );
 observe();
+prepare();
 begin();

@@ -14,6 +14,7 @@ import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { readProject } from "./project.js";
 import { maskPart, regionOf, sizeOfMask } from "./region.js";
 import { SAMPLES } from "./samples.js";
+import { does } from "./service.js";
 import { readLink } from "./share.js";
 import { emptyDocument } from "./state.js";
 import { atStrength } from "./strength.js";
@@ -431,8 +432,8 @@ export class Opener {
       );
     }
     // What an outline separates stays apart, unless somebody has chosen otherwise.
-    if (isCutout && document.metric === undefined && !document.handles.length)
-      document = { ...document, metric: "geodesic" };
+    const isUsual = document.metric === undefined && !document.handles.length;
+    if (isCutout && isUsual && does.outlines) document = { ...document, metric: "geodesic" };
     const left = this.current;
     // A session of another user keeps its region. Otherwise the session without one is known, and
     // one with a mask is given it again.
@@ -520,7 +521,7 @@ export class Opener {
     if (document?.handles.length)
       this.store.do("waiting", { handles: { name: "The link", document, warp: null, missing: 0 } });
     return new api.Problem(
-      { code, detail: deadLinkWords(name, this.limits.idle), link: true },
+      { code, detail: deadLinkWords(name, does.links ? this.limits.idle : null), link: true },
       status,
     );
   }

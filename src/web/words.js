@@ -30,7 +30,7 @@ export const BEHIND = {
  * Title and advice by problem code. Other codes use the title of the server.
  * @type {Record<string, [title: string, advice: string]>}
  */
-const PROBLEMS = {
+export const PROBLEMS = {
   network: [
     "The server does not respond",
     "Your handles are safe in this browser. Retrying automatically.",
@@ -122,6 +122,8 @@ const PROBLEMS = {
     "Reload the page of the site that shows it.",
   ],
   unauthorized: ["API key required", "Enter the key that you got from the operator of the server."],
+  needs_server: ["This needs a server", "This page comes from a host without one."],
+  no_engine: ["The engine cannot be loaded", "Reload the page, or use another browser."],
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: [
     "The browser cannot show this picture",
@@ -644,14 +646,35 @@ export function linkWords({ expires }) {
 
 /**
  * A link to a session that has ended.
- * @type {(name: string, idle: number) => string}
+ * @type {(name: string, idle: number | null) => string}
  */
 export const deadLinkWords = (name, idle) =>
-  `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
+  idle === null
+    ? `The link to ${name} leads to a picture on a server, and this page works without one.`
+    : `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
 
-/** @param {Page.Limits} limits */
-export function limitWords({ body, pixels, idle, memory }) {
+/** What is said where the engine in the browser takes the place of a server. */
+export const NEEDS_SERVER = {
+  one: "This needs a server: the page works without one here",
+  start: "This page works without a server: pictures stay in this browser. What is grey needs one.",
+  late: "Preview: the exact picture is late",
+  /** @type {typeof PROBLEMS} */
+  problems: {
+    too_large: ["Too large for this page", "Make it smaller."],
+    internal: ["The engine has failed", "Undo the last step, or open a smaller picture."],
+    no_such_session: ["The picture is not open any more", "Open it again."],
+  },
+  all: "This page works without a server. Averages and morphs, animations as files, methods that follow an outline, pictures without folds, “Choose for me”, alignment, the exact map of annotations, links and commands need one.",
+};
+
+/**
+ * @param {Page.Limits} limits
+ * @param {boolean} isKept whether a server keeps the picture
+ */
+export function limitWords({ body, pixels, idle, memory }, isKept) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG, WebP, GIF, BMP or TIFF, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
+  const taken = `PNG, JPEG, WebP, GIF, BMP or TIFF, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels.`;
+  if (!isKept) return taken;
+  return `${taken} The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
 }

@@ -279,7 +279,12 @@ export class WorkerEngine {
   static async spawn({ wasm, worker } = {}) {
     const calls = new Calls(worker ? importing(new URL(worker, location.href).href) : started());
     const isCompiled = wasm === undefined || wasm instanceof WebAssembly.Module;
-    await calls.call(0, "load", [isCompiled ? wasm : new URL(wasm, location.href).href]);
+    try {
+      await calls.call(0, "load", [isCompiled ? wasm : new URL(wasm, location.href).href]);
+    } catch (error) {
+      calls.end("the engine is not loaded");
+      throw error;
+    }
     return new WorkerEngine(calls);
   }
 
@@ -312,6 +317,16 @@ export class WorkerEngine {
    */
   warpFile(file, warp, { region, signal } = {}) {
     return this.#calls.call(0, "warpFile", [file, warp, { region }], signal);
+  }
+
+  /**
+   * @param {import("./index.js").Bytes} file
+   * @param {import("./index.js").WarpObject} warp
+   * @param {{ region?: import("./index.js").Bytes } & Abortable} [options]
+   * @returns {Promise<{ file: Uint8Array<ArrayBuffer>, report: import("./index.js").Report }>}
+   */
+  warpFileWithReport(file, warp, { region, signal } = {}) {
+    return this.#calls.call(0, "warpFileWithReport", [file, warp, { region }], signal);
   }
 
   /**

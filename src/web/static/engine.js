@@ -1,0 +1,407 @@
+// On a static host: what the page asks of a server (api/openapi.json), answered by the engine. Not
+// served by the program.
+
+import { boxOf } from "../canvas.js";
+import { Mesh } from "../mesh.js";
+
+/** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerEngine} WorkerEngine */
+/** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerPlan} WorkerPlan */
+/** @typedef {import("../../../api/npm/engine/index.js").Handle} Handle */
+/** @typedef {import("../../../api/npm/engine/index.js").PlanOptions} PlanOptions */
+/** @typedef {import("../../../api/npm/engine/index.js").WarpObject} WarpObject */
+/** @typedef {"preview" | "files"} Purpose */
+/** @typedef {{ engine: WorkerEngine, plan: WorkerPlan, grid: Page.MeshGrid }} Planned */
+
+/**
+ * What the page has opened; the file stays where the browser has it.
+ *
+ * @typedef {{
+ *   id: string,
+ *   file: Blob,
+ *   size: Page.Size,
+ *   rest: Page.Rest,
+ *   revision: number,
+ *   region: Blob | null,
+ *   seq: number | null,
+ *   planned: Planned,
+ * }} Session
+ */
+
+/** The page opens older ones again from its own copies of the files. */
+const MOST_SESSIONS = 4;
+/** Where a PNG has its width and height. */
+const PNG_SIZE = 16;
+
+/** @type {Map<string, Session>} */
+const sessions = new Map();
+let revisions = 0;
+
+class Refused extends Error {
+  /**
+   * @param {number} status
+   * @param {string} code
+   * @param {string} [detail]
+   */
+  constructor(status, code, detail = "") {
+    super(detail);
+    this.problem = { status, code, detail };
+  }
+}
+
+// The engines
+
+/**
+ * One for previews and one for files, so that a drag never waits for a picture.
+ *
+ * @type {Map<Purpose, Promise<WorkerEngine>>}
+ */
+const engines = new Map();
+/** The work under way with files. */
+let works = 0;
+
+const home = new URL("engine/", document.baseURI);
+
+/** @param {Purpose} purpose */
+async function spawned(purpose) {
+  try {
+    /** @type {typeof import("../../../api/npm/engine/worker-engine.js")} */
+    const { WorkerEngine } = await import(new URL("worker-engine.js", home).href);
+    /** @type {typeof import("../../../api/npm/engine/module.js")} */
+    const { moduleOf } = await import(new URL("module.js", home).href);
+    // Compiled once for both.
+    return await WorkerEngine.spawn({ wasm: await moduleOf() });
+  } catch (error) {
+    engines.delete(purpose);
+    throw new Refused(500, "no_engine", error instanceof Error ? error.message : String(error));
+  }
+}
+
+/** @param {Purpose} purpose */
+function engineFor(purpose) {
+  const engine = engines.get(purpose) ?? spawned(purpose);
+  engines.set(purpose, engine);
+  return engine;
+}
+
+/** Gets both, so that the first picture does not wait for them. */
+export const prepare = () =>
+  Promise.all([engineFor("preview"), engineFor("files")]).catch(() => {
+    // Whoever needs one hears it.
+  });
+
+/**
+ * Ends an engine, whatever it does; the next request starts another.
+ *
+ * @param {Purpose} purpose
+ * @param {Promise<WorkerEngine>} ended
+ */
+function end(purpose, ended) {
+  ended.then((engine) => engine.dispose());
+  if (engines.get(purpose) === ended) engines.delete(purpose);
+}
+
+/**
+ * What an engine does; one that crashes is replaced.
+ *
+ * @template T
+ * @param {Purpose} purpose
+ * @param {(engine: WorkerEngine) => Promise<T>} work
+ * @returns {Promise<T>}
+ */
+async function by(purpose, work) {
+  const promise = engineFor(purpose);
+  try {
+    return await work(await promise);
+  } catch (error) {
+    if (error instanceof Error && error.name === "EngineCrashed") end(purpose, promise);
+    throw error;
+  }
+}
+
+/**
+ * A file that is drawn, and what is said of it. Nobody waits for work that is not wanted any more:
+ * its engine ends.
+ *
+ * @param {Blob} file
+ * @param {object} warp
+ * @param {{ region?: Blob | null, signal?: AbortSignal | null }} [how]
+ */
+async function drawn(file, warp, { region, signal } = {}) {
+  const [bytes, mask] = await Promise.all([file.arrayBuffer(), region?.arrayBuffer()]);
+  signal?.throwIfAborted();
+  const engine = engineFor("files");
+  const leave = () => works === 1 && end("files", engine);
+  signal?.addEventListener("abort", leave);
+  works += 1;
+  try {
+    return await by("files", (engine) =>
+      engine.warpFileWithReport(bytes, /** @type {WarpObject} */ (warp), {
+        ...(mask && { region: mask }),
+      }),
+    );
+  } catch (error) {
+    signal?.throwIfAborted();
+    throw error;
+  } finally {
+    works -= 1;
+    signal?.removeEventListener("abort", leave);
+  }
+}
+
+// Sessions
+
+/**
+ * The plan of rest handles, and its grid.
+ *
+ * @param {Page.Rest} rest
+ * @param {Page.Size} size
+ * @returns {Promise<Planned>}
+ */
+async function planned({ p, output: _, ...rest }, size) {
+  if (rest.method === "arap" || rest.metric === "geodesic")
+    throw new Refused(422, "needs_server", "What follows the outline of a picture needs a server.");
+  if (rest.folds === "remove")
+    throw new Refused(422, "needs_server", "A picture without folds needs a server.");
+  return by("preview", async (engine) => {
+    const options = /** @type {PlanOptions} */ ({ size, ...rest });
+    const plan = await engine.plan(/** @type {Handle[]} */ (p), options);
+    const pose = await plan.pose(/** @type {Handle[]} */ (p));
+    const { columns, rows, xy } = await pose.mesh();
+    pose.dispose();
+    const [width, height] = size;
+    // The lines are at equal distances, but for the last one.
+    const grid = { columns, rows, width, height, cell: [xy[2], xy[2 * columns + 1]] };
+    return { engine, plan, grid: /** @type {Page.MeshGrid} */ (grid) };
+  });
+}
+
+/**
+ * Width and height of a file that the engine can read. A browser may read others, or fewer.
+ *
+ * @param {Blob} file
+ * @param {AbortSignal | null | undefined} signal
+ * @returns {Promise<Page.Size>}
+ */
+async function sizeOf(file, signal) {
+  // First, because it refuses what is too large for memory.
+  await drawn(file, { p: [], q: [], output: { width: 1 } }, { signal });
+  const bitmap = await createImageBitmap(file).catch(() => null);
+  if (bitmap) {
+    const { width, height } = bitmap;
+    bitmap.close();
+    return [width, height];
+  }
+  const whole = (await drawn(file, { p: [], q: [] }, { signal })).file;
+  const head = new DataView(whole.buffer, whole.byteOffset + PNG_SIZE, 8);
+  return [head.getUint32(0), head.getUint32(4)];
+}
+
+/** @type {(id: string) => Session} */
+function find(id) {
+  const session = sessions.get(id);
+  if (!session) throw new Refused(404, "no_such_session");
+  return session;
+}
+
+/**
+ * As the server describes it; handles that coincide are not named.
+ *
+ * @param {Session} session
+ */
+function described({ id, size: [width, height], rest, revision, region, seq, planned: { grid } }) {
+  const { coincident: policy, grid: requested, ...others } = rest;
+  const { columns, rows, cell } = grid;
+  return {
+    ...others,
+    id,
+    seq,
+    image: { width, height },
+    rest_revision: String(revision),
+    coincident_policy: policy,
+    units: "px",
+    grid: { columns, rows, cell, requested },
+    layers: region ? { region: {} } : {},
+  };
+}
+
+/**
+ * @param {string} id
+ * @param {FormData} form
+ * @param {AbortSignal | null | undefined} signal
+ */
+async function open(id, form, signal) {
+  const file = /** @type {File} */ (form.get("image"));
+  /** @type {Page.Rest} */
+  const rest = JSON.parse(await /** @type {File} */ (form.get("warp")).text());
+  const size = await sizeOf(file, signal);
+  /** @type {Session} */
+  const session = {
+    id,
+    file,
+    size,
+    rest,
+    revision: ++revisions,
+    region: null,
+    seq: null,
+    planned: await planned(rest, size),
+  };
+  sessions.set(id, session);
+  for (const old of [...sessions.keys()].slice(0, -MOST_SESSIONS)) close(old);
+  return described(session);
+}
+
+/** @param {string} id */
+function close(id) {
+  sessions.get(id)?.planned.plan.dispose();
+  sessions.delete(id);
+}
+
+/**
+ * @param {Session} session
+ * @param {Page.Rest} rest
+ */
+async function replace(session, rest) {
+  const before = session.planned;
+  session.planned = await planned(rest, session.size);
+  before.plan.dispose();
+  Object.assign(session, { rest, revision: ++revisions });
+  return described(session);
+}
+
+/**
+ * A pose by the engine: its grid, and what is said of it.
+ *
+ * @param {Session} session
+ * @param {Page.Pose} pose
+ */
+function posed(session, { q }) {
+  return by("preview", async (engine) => {
+    // That of the plan may have crashed.
+    if (session.planned.engine !== engine)
+      session.planned = await planned(session.rest, session.size);
+    const { plan, grid } = session.planned;
+    const pose = await plan.pose(/** @type {Handle[]} */ (q));
+    const { xy } = await pose.mesh();
+    pose.dispose();
+    return { mesh: new Mesh(grid, xy), report: pose.report };
+  });
+}
+
+/**
+ * The names of `Warp-` headers.
+ *
+ * @param {import("../../../api/npm/engine/index.js").Report} report
+ * @returns {Record<string, string>}
+ */
+const headersOf = ({ folds, residual, warnings }) => ({
+  "Warp-Folds": String(folds),
+  "Warp-Residual": String(residual),
+  "Warp-Warning": warnings.map(({ code }) => code).join(", "),
+});
+
+/**
+ * @param {Session} session
+ * @param {Page.Pose} pose
+ * @param {AbortSignal | null | undefined} signal
+ */
+async function picture(session, pose, signal) {
+  const { rest, size, region, file } = session;
+  const { canvas } = rest.output;
+  const warp = { ...rest, q: pose.q, output: { ...rest.output, ...pose.output } };
+  const [{ file: bytes, report }, fitted] = await Promise.all([
+    drawn(file, warp, { region, signal }),
+    canvas === "fit" ? posed(session, pose) : null,
+  ]);
+  const box = boxOf(canvas, size, fitted?.mesh ?? null, region !== null);
+  return new Response(bytes, {
+    headers: {
+      ...headersOf(report),
+      ...(canvas !== "same" && { "Warp-Canvas": box.join() }),
+      "Content-Type": `image/${pose.output?.format ?? "png"}`,
+    },
+  });
+}
+
+/**
+ * Landmark files: one with both sides, or one for each.
+ *
+ * @param {URLSearchParams} query
+ * @param {Blob | FormData} body
+ */
+async function landmarks(query, body) {
+  const parts = body instanceof FormData ? ["landmarks_p", "landmarks_q"] : [];
+  const files = parts.length
+    ? parts.map((name) => /** @type {File} */ (/** @type {FormData} */ (body).get(name)))
+    : [/** @type {Blob} */ (body)];
+  if (query.has("extent_p") || (body instanceof FormData && body.has("extent_p")))
+    throw new Refused(422, "needs_server", "A file that counts y from below needs a server.");
+  const item = query.get("item");
+  const [p, q] = await Promise.all(files.map((file) => file.arrayBuffer()));
+  // Not by that for files, which ends with a picture that nobody waits for.
+  return by("preview", (engine) => engine.landmarks(p, q, item === null ? {} : { item }));
+}
+
+// Requests
+
+/** @type {(value: unknown) => Response} */
+const json = (value) => Response.json(value);
+
+/**
+ * @param {string} method
+ * @param {URL} url
+ * @param {BodyInit | null | undefined} body
+ * @param {AbortSignal | null | undefined} signal
+ * @returns {Promise<Response>}
+ */
+async function routed(method, { pathname, searchParams }, body, signal) {
+  const [kind, id = "", ...rest] = pathname.slice(1).split("/").map(decodeURIComponent);
+  const value = () => JSON.parse(/** @type {string} */ (body));
+  switch ([method, kind, ...rest].join(" ")) {
+    case "POST landmarks":
+      return json(await landmarks(searchParams, /** @type {Blob | FormData} */ (body)));
+    case "PUT sessions":
+      return json(await open(id, /** @type {FormData} */ (body), signal));
+    case "GET sessions":
+      return json(described(find(id)));
+    case "DELETE sessions":
+      close(id);
+      return json(null);
+    case "PUT sessions handles":
+      return json(await replace(find(id), value()));
+    case "PUT sessions layers region":
+      find(id).region = /** @type {Blob} */ (body);
+      return json(described(find(id)));
+    case "GET sessions layers region":
+      return new Response(find(id).region);
+    case "DELETE sessions layers region":
+      find(id).region = null;
+      return json(null);
+    case "POST sessions mesh": {
+      const { mesh, report } = await posed(find(id), value());
+      return new Response(/** @type {BlobPart} */ (mesh.places), { headers: headersOf(report) });
+    }
+    case "POST sessions warp":
+      return picture(find(id), value(), signal);
+    default:
+      throw new Refused(404, "needs_server");
+  }
+}
+
+/**
+ * As `fetch`.
+ *
+ * @param {string} path
+ * @param {RequestInit} request
+ */
+export async function answer(path, { method = "GET", body, signal }) {
+  try {
+    return await routed(method, new URL(path, "http://engine/"), body, signal);
+  } catch (error) {
+    if (!(error instanceof Error) || error.name === "AbortError") throw error;
+    const { status = 500, ...problem } = /** @type {any} */ (error).problem ?? {
+      code: "internal",
+      detail: error.message,
+    };
+    return Response.json({ ...problem, status }, { status });
+  }
+}

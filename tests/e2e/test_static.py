@@ -1,0 +1,139 @@
+"""The page on a static host: the engine answers in place of a server, with the same bytes, under a
+policy that allows nothing from elsewhere but WebAssembly."""
+
+import base64
+import hashlib
+import json
+import struct
+import subprocess
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import httpx
+import pytest
+
+from support import DEADLINE, Visited
+from test_access import faults
+
+ROOT = Path(__file__).resolve().parents[2]
+CAT = ROOT / "src/web/cat.jpg"
+POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; "
+    "img-src 'self' blob: data:; connect-src 'self'; worker-src 'self'"
+)
+
+# The head of a file, and no pixels.
+BMP_OF_A_GIGAPIXEL = b"BM" + struct.pack(
+    "<IIIIiiHHIIiiII", 54, 0, 54, 40, 32768, 32768, 1, 24, 0, 0, 0, 0, 0, 0
+)
+
+
+class Files(SimpleHTTPRequestHandler):
+    """Files alone, and what was asked for."""
+
+    def end_headers(self):
+        self.send_header("Content-Security-Policy", POLICY)
+        super().end_headers()
+
+    def log_message(self, *_):
+        self.server.asked.append((self.command, self.path))
+
+
+class Host(Visited):
+    def __init__(self, folder):
+        self.http = ThreadingHTTPServer(("127.0.0.1", 0), partial(Files, directory=folder))
+        self.http.asked = []
+        # In a folder of the host, as sites of projects are.
+        self.address = f"http://127.0.0.1:{self.http.server_port}/below"
+        threading.Thread(target=self.http.serve_forever, daemon=True).start()
+
+    def stop(self):
+        self.leave()
+        self.http.shutdown()
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("host")
+    subprocess.run([ROOT / "src/web/static/build", folder / "below"], check=True)
+    host = Host(folder)
+    yield host
+    host.stop()
+
+
+def by_server(server, saved, picture):
+    """The digest of the file that the server makes of a picture and what the page has saved."""
+    files = {"image": picture.read_bytes()}
+    if "region" in saved:
+        files["region"] = base64.b64decode(saved.pop("region"))
+    files["warp"] = json.dumps(saved).encode()
+    answer = httpx.post(f"{server.address}/warp", files=files, timeout=DEADLINE)
+    assert answer.status_code == 200, answer.text
+    return hashlib.sha256(answer.content).hexdigest()
+
+
+def downloaded(page):
+    page.ready()
+    return hashlib.sha256(page.saved("download")[1]).hexdigest()
+
+
+def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host, server):
+    page = visits(of=host).body("[data-service=engine]")
+    assert "works without a server" in page.text("drop")
+    assert page.page.locator("#blend-open").is_disabled()
+    assert faults(page) == []
+    page.open(CAT)
+    page.click(120, 100)
+    page.click(300, 200)
+    page.ready()
+
+    # The grid follows the pointer, and the file comes when it rests.
+    page.press((120, 100), (160, 130))
+    page.body("[data-moving=true][data-source=mesh][data-residual]:not([data-residual=''])")
+    page.page.mouse.up()
+    png = downloaded(page)
+    assert png == by_server(server, page.warp(), CAT)
+    posed = page.posed(0)
+    assert posed != (120, 100) and float(page["residual"]) < 0.5
+    page.keep("static")
+    assert faults(page) == []
+
+    # Strengths between rest and pose are drawn in turn.
+    page.keys("p")
+    page.body("[data-playing=true]")
+    page.keys("Escape")
+
+    # Settings and the mask of a region reach the engine.
+    page.page.select_option("#canvas", "fit")
+    page.page.select_option("#outside", "reflect")
+    page.keys("4")
+    page.drag((60, 40), (400, 40), (400, 280), (60, 280))
+    page.body("[data-region='1']")
+    assert downloaded(page) == by_server(server, page.warp(), CAT) != png
+    page.keys("Control+z", "Control+z", "Control+z")
+    assert downloaded(page) == png
+
+    # Nothing but files was asked for.
+    assert {method for method, _ in host.http.asked} == {"GET"}
+    assert not [path for _, path in host.http.asked if "sessions" in path]
+
+    # A reload opens the picture again, from this browser.
+    page.page.reload()
+    assert downloaded(page) == png and page.posed(0) == posed
+
+    # What needs a server says so, and undo leads back.
+    outlined = json.dumps({**page.warp(), "metric": "geodesic"}).encode()
+    file = {"name": "outlined.json", "mimeType": "application/json", "buffer": outlined}
+    page.page.set_input_files("#file", file)
+    page.body("[data-state=error][data-problem=needs_server]")
+    page.keys("Control+z")
+    assert downloaded(page) == png
+
+    # A file that the engine refuses is told in its words, and nothing is lost.
+    huge = {"name": "huge.bmp", "mimeType": "image/bmp", "buffer": BMP_OF_A_GIGAPIXEL}
+    page.page.set_input_files("#file", huge)
+    page.body("[data-problem=too_large]")
+    assert "limit" in page.text("problem") and "operator" not in page.text("problem")
+    assert page["state"] == "ready" and page.posed(0) == posed
