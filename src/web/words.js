@@ -656,6 +656,7 @@ export const deadLinkWords = (name, idle) =>
 /** What is said where the engine in the browser takes the place of a server. */
 export const NEEDS_SERVER = {
   one: "This needs a server: the page works without one here",
+  option: "needs a server",
   start: "This page works without a server: pictures stay in this browser. What is grey needs one.",
   late: "Preview: the exact picture is late",
   /** @type {typeof PROBLEMS} */
@@ -664,7 +665,7 @@ export const NEEDS_SERVER = {
     internal: ["The engine has failed", "Undo the last step, or open a smaller picture."],
     no_such_session: ["The picture is not open any more", "Open it again."],
   },
-  all: "This page works without a server. Averages and morphs, animations as files, methods that follow an outline, pictures without folds, “Choose for me”, alignment, the exact map of annotations, links and commands need one.",
+  all: "This page works without a server. Averages and morphs, animations as GIF or zip, methods that follow an outline, pictures without folds, “Choose for me”, alignment, the exact map of annotations, links and commands need one.",
 };
 
 /**

@@ -3,6 +3,7 @@ policy that allows nothing from elsewhere but WebAssembly."""
 
 import base64
 import hashlib
+import io
 import json
 import struct
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from PIL import Image, ImageSequence
 
 from support import DEADLINE, Visited
 from test_access import faults
@@ -64,19 +66,49 @@ def host(tmp_path_factory):
 
 
 def by_server(server, saved, picture):
-    """The digest of the file that the server makes of a picture and what the page has saved."""
+    """The file that the server makes of a picture and what the page has saved."""
     files = {"image": picture.read_bytes()}
     if "region" in saved:
         files["region"] = base64.b64decode(saved.pop("region"))
     files["warp"] = json.dumps(saved).encode()
     answer = httpx.post(f"{server.address}/warp", files=files, timeout=DEADLINE)
     assert answer.status_code == 200, answer.text
-    return hashlib.sha256(answer.content).hexdigest()
+    return answer.content
+
+
+def digest(file):
+    return hashlib.sha256(file).hexdigest()
 
 
 def downloaded(page):
     page.ready()
-    return hashlib.sha256(page.saved("download")[1]).hexdigest()
+    return digest(page.saved("download")[1])
+
+
+def animated(page, frames):
+    page.page.click("#export-open")
+    page.page.click("label:has(#export-animation)")
+    assert page.page.locator("#export-file option:disabled").count() == 2
+    page.page.fill("#export-frames", str(frames))
+    page.page.locator("#export-back").set_checked(True)
+    return page.saved("export-save")[1]
+
+
+def animation_by_server(server, saved, frames):
+    q = saved.pop("q")
+    files = {"image": CAT.read_bytes(), "warp": json.dumps(saved).encode()}
+    session = httpx.post(f"{server.address}/sessions", files=files, timeout=DEADLINE).json()
+    batch = {"q": q, "steps": frames, "easing": "ease-in-out", "and_back": True}
+    address = f"{server.address}/sessions/{session['id']}/batch"
+    headers = {"Accept": "image/apng"}
+    return httpx.post(address, json=batch, headers=headers, timeout=DEADLINE).content
+
+
+def frames_of(animation):
+    """Size, alpha, and the pixels of each frame."""
+    image = Image.open(io.BytesIO(animation))
+    frames = [frame.tobytes() for frame in ImageSequence.Iterator(image)]
+    return image.size, image.mode, image.n_frames, [digest(frame) for frame in frames]
 
 
 def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host, server):
@@ -94,7 +126,7 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
     page.body("[data-moving=true][data-source=mesh][data-residual]:not([data-residual=''])")
     page.page.mouse.up()
     png = downloaded(page)
-    assert png == by_server(server, page.warp(), CAT)
+    assert png == digest(by_server(server, page.warp(), CAT))
     posed = page.posed(0)
     assert posed != (120, 100) and float(page["residual"]) < 0.5
     page.keep("static")
@@ -111,9 +143,15 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
     page.keys("4")
     page.drag((60, 40), (400, 40), (400, 280), (60, 280))
     page.body("[data-region='1']")
-    assert downloaded(page) == by_server(server, page.warp(), CAT) != png
+    assert downloaded(page) == digest(by_server(server, page.warp(), CAT)) != png
     page.keys("Control+z", "Control+z", "Control+z")
     assert downloaded(page) == png
+
+    # An animation has the frames that the server draws, with alpha and on one canvas.
+    page.page.select_option("#canvas", "fit")
+    animation = animated(page, frames=3)
+    assert frames_of(animation) == frames_of(animation_by_server(server, page.warp(), 3))
+    page.keys("Control+z")
 
     # Nothing but files was asked for.
     assert {method for method, _ in host.http.asked} == {"GET"}

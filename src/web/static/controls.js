@@ -7,15 +7,7 @@ import { prepare as prepareEngine } from "./engine.js";
 /** Controls of the page that need a server, by their ids. */
 const CONTROLS = [
   ...["blend-open", "sample-horse", "method-arap", "metric-geodesic", "fit", "remove-folds"],
-  ...[
-    "align",
-    "annotations-save",
-    "copy-curl",
-    "copy-link",
-    "export-animation",
-    "export-curl",
-    "key-open",
-  ],
+  ...["align", "annotations-save", "copy-curl", "copy-link", "export-curl", "key-open"],
 ];
 
 /**
@@ -42,6 +34,10 @@ export function prepare() {
   for (const id of CONTROLS) {
     const control = document.getElementById(id);
     if (control) switchOff(control);
+  }
+  for (const option of find("export-file").options) {
+    option.disabled = option.value !== "apng";
+    if (option.disabled) option.text += ` (${NEEDS_SERVER.option})`;
   }
   find("limits").after(words(NEEDS_SERVER.start));
   find("panel").append(words(NEEDS_SERVER.all));

@@ -3,6 +3,8 @@
 
 import { boxOf } from "../canvas.js";
 import { Mesh } from "../mesh.js";
+import { EASINGS } from "../player.js";
+import { AnimatedPng } from "./apng.js";
 
 /** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerEngine} WorkerEngine */
 /** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerPlan} WorkerPlan */
@@ -10,6 +12,7 @@ import { Mesh } from "../mesh.js";
 /** @typedef {import("../../../api/npm/engine/index.js").PlanOptions} PlanOptions */
 /** @typedef {import("../../../api/npm/engine/index.js").WarpObject} WarpObject */
 /** @typedef {"preview" | "files"} Purpose */
+/** @typedef {{ q: Page.WireHandle[], strength?: number }} Frame */
 /** @typedef {{ engine: WorkerEngine, plan: WorkerPlan, grid: Page.MeshGrid }} Planned */
 
 /**
@@ -272,15 +275,15 @@ async function replace(session, rest) {
  * A pose by the engine: its grid, and what is said of it.
  *
  * @param {Session} session
- * @param {Page.Pose} pose
+ * @param {Frame} pose
  */
-function posed(session, { q }) {
+function posed(session, { q, strength }) {
   return by("preview", async (engine) => {
     // That of the plan may have crashed.
     if (session.planned.engine !== engine)
       session.planned = await planned(session.rest, session.size);
     const { plan, grid } = session.planned;
-    const pose = await plan.pose(/** @type {Handle[]} */ (q));
+    const pose = await plan.pose(/** @type {Handle[]} */ (q), strength);
     const { xy } = await pose.mesh();
     pose.dispose();
     return { mesh: new Mesh(grid, xy), report: pose.report };
@@ -323,6 +326,75 @@ async function picture(session, pose, signal) {
 }
 
 /**
+ * Whether images show that something is not covered; the server gives alpha to those only where
+ * something is not.
+ *
+ * @param {Page.Rest["output"]} output
+ */
+const mayHaveAlpha = ({ outside, holes }) =>
+  !/^(edge|reflect|#[0-9a-f]{6}(ff)?)$/i.test(String(outside)) || holes === "transparent";
+
+/**
+ * Every pose is refused before the first is drawn, or none; with the canvas that shows all of them.
+ *
+ * @param {Session} session
+ * @param {Frame[]} frames
+ * @param {AbortSignal | null | undefined} signal
+ */
+async function surveyed(session, frames, signal) {
+  const { canvas } = session.rest.output;
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const frame of frames) {
+    const { mesh } = await posed(session, frame);
+    signal?.throwIfAborted();
+    const [x, y, width, height] = boxOf(canvas, session.size, mesh, session.region !== null);
+    [x, y, -x - width, -y - height].forEach((edge, k) => {
+      box[k] = k < 2 ? Math.min(box[k], edge) : Math.max(box[k], -edge);
+    });
+  }
+  const [x, y, right, bottom] = box;
+  return canvas === "fit" ? { x, y, width: right - x, height: bottom - y } : canvas;
+}
+
+/**
+ * An animated PNG, a frame at a time.
+ *
+ * @param {Session} session
+ * @param {{
+ *   q: Page.WireHandle[], steps: number, easing: Page.Animation["easing"], frames?: Frame[],
+ *   and_back?: boolean, delay: number, output?: Page.Output,
+ * }} batch
+ * @param {AbortSignal | null | undefined} signal
+ */
+async function animation(session, { q, steps, easing, and_back, delay, ...more }, signal) {
+  const inBetween = (/** @type {number} */ k) => EASINGS[easing](k / (steps - 1));
+  const there =
+    more.frames ?? Array.from({ length: steps }, (_, k) => ({ q, strength: inBetween(k) }));
+  const frames = and_back ? [...there, ...there.slice(1, -1).reverse()] : there;
+  const { file, rest, region } = session;
+  const canvas = await surveyed(session, there, signal);
+  /** @type {Page.Rest["output"]} */
+  const output = { ...rest.output, .../** @type {{}} */ (more.output), canvas };
+  const draw = (/** @type {Frame} */ frame) =>
+    drawn(file, { ...rest, ...frame, output }, { region, signal });
+  const png = new AnimatedPng(frames.length, delay, mayHaveAlpha(output));
+  let count = 0;
+  const body = new ReadableStream({
+    async pull(controller) {
+      if (count === frames.length) {
+        controller.enqueue(await AnimatedPng.end());
+        return controller.close();
+      }
+      const { file } = await draw(frames[count++]);
+      for (const part of await png.frame(file)) controller.enqueue(part);
+    },
+  });
+  return new Response(body, {
+    headers: { "Warp-Frames": String(frames.length), "Content-Type": "image/apng" },
+  });
+}
+
+/**
  * Landmark files: one with both sides, or one for each.
  *
  * @param {URLSearchParams} query
@@ -347,13 +419,11 @@ async function landmarks(query, body) {
 const json = (value) => Response.json(value);
 
 /**
- * @param {string} method
  * @param {URL} url
- * @param {BodyInit | null | undefined} body
- * @param {AbortSignal | null | undefined} signal
+ * @param {RequestInit} request
  * @returns {Promise<Response>}
  */
-async function routed(method, { pathname, searchParams }, body, signal) {
+async function routed({ pathname, searchParams }, { method = "GET", body, signal, headers }) {
   const [kind, id = "", ...rest] = pathname.slice(1).split("/").map(decodeURIComponent);
   const value = () => JSON.parse(/** @type {string} */ (body));
   switch ([method, kind, ...rest].join(" ")) {
@@ -382,6 +452,10 @@ async function routed(method, { pathname, searchParams }, body, signal) {
     }
     case "POST sessions warp":
       return picture(find(id), value(), signal);
+    case "POST sessions batch":
+      if (new Headers(headers).get("Accept") === "image/apng")
+        return animation(find(id), value(), signal);
+      throw new Refused(406, "needs_server", "GIF and Zip need a server; choose Animated PNG.");
     default:
       throw new Refused(404, "needs_server");
   }
@@ -393,9 +467,9 @@ async function routed(method, { pathname, searchParams }, body, signal) {
  * @param {string} path
  * @param {RequestInit} request
  */
-export async function answer(path, { method = "GET", body, signal }) {
+export async function answer(path, request) {
   try {
-    return await routed(method, new URL(path, "http://engine/"), body, signal);
+    return await routed(new URL(path, "http://engine/"), request);
   } catch (error) {
     if (!(error instanceof Error) || error.name === "AbortError") throw error;
     const { status = 500, ...problem } = /** @type {any} */ (error).problem ?? {
