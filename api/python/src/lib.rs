@@ -1,7 +1,7 @@
 //! The module `mlswarp._engine`: the library for Python. The classes and functions that people use
 //! are Python (`python/mlswarp`), which checks arrays and makes JSON of handles and options. What
-//! comes here is JSON in the service's contract, and buffers; what goes is JSON, and arrays. Nothing
-//! here is for use from outside.
+//! comes here is JSON in the service's contract, and buffers; what goes is JSON, and arrays.
+//! Nothing here is for use from outside.
 //!
 //! Long work runs on a pool of this process without Python's lock ([`pool`]). Every error is a
 //! problem of the contract ([`error`]).

@@ -62,8 +62,8 @@ impl Pose {
     }
 
     /// Draws an image. `shape`: height, width, samples. `output`: a warp object with that alone.
-    /// `region`: a mask of the same height and width with its number of samples. Second: the seconds
-    /// of the work in the engine; what Python adds is the rest.
+    /// `region`: a mask of the same height and width with its number of samples. Second: the
+    /// seconds of the work in the engine; what Python adds is the rest.
     #[pyo3(signature = (image, shape, output, region=None))]
     fn warp(
         &self,
