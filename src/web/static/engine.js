@@ -455,7 +455,7 @@ async function routed({ pathname, searchParams }, { method = "GET", body, signal
     case "POST sessions batch":
       if (new Headers(headers).get("Accept") === "image/apng")
         return animation(find(id), value(), signal);
-      throw new Refused(406, "needs_server", "GIF and Zip need a server; choose Animated PNG.");
+      throw new Refused(406, "needs_server", "Choose Animated PNG, which this page writes.");
     default:
       throw new Refused(404, "needs_server");
   }
