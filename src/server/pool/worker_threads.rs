@@ -1,19 +1,13 @@
 //! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it
-//! takes the next one, so that no request waits for a part of another's. One idle thread polls for
-//! a short time before it sleeps, because waking a sleeping thread takes up to a tenth of a
-//! millisecond; the other idle threads sleep.
+//! takes the next one, so that no request waits for a part of another's. Idle threads sleep: one
+//! that polled would not get its processor back in time once others want it (`README.md`).
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
-use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
-
-/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose
-/// within half of this. At sixty poses a second it costs about 1 % of a processor.
-const POLL_TIME: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;
 
@@ -32,7 +26,7 @@ pub(crate) struct WorkerThreads {
 #[derive(Default)]
 struct WorkerState {
     queue: Mutex<JobQueue>,
-    /// Number of queued jobs, for polling without the lock.
+    /// Number of queued jobs, to be read without the lock.
     waiting: AtomicUsize,
 }
 
@@ -50,21 +44,15 @@ struct JobQueue {
     /// Threads that sleep, the last one to fall asleep last. It is woken first: two threads that
     /// take turns stay on their processors.
     asleep: Vec<Thread>,
-    /// Whether an idle thread polls.
-    is_polled: bool,
     is_closed: bool,
 }
 
 impl JobQueue {
-    /// Adds jobs; returns the threads to wake for them, at most `idle` of the idle ones. A thread
-    /// that polls takes the first job.
-    fn push(&mut self, jobs: impl IntoIterator<Item = Job>, idle: usize) -> Vec<Thread> {
+    /// Adds jobs; returns the threads to wake for them, at most `most`.
+    fn push(&mut self, jobs: impl IntoIterator<Item = Job>, most: usize) -> Vec<Thread> {
         let before = self.jobs.len();
         self.jobs.extend(jobs);
-        let is_polled = usize::from(self.is_polled && before == 0);
-        let wanted = (self.jobs.len() - before)
-            .min(idle)
-            .saturating_sub(is_polled);
+        let wanted = (self.jobs.len() - before).min(most);
         self.asleep
             .split_off(self.asleep.len().saturating_sub(wanted))
     }
@@ -127,8 +115,8 @@ impl WorkerThreads {
 
     fn queue(&self, jobs: impl IntoIterator<Item = Job>, wakes: impl FnOnce(usize) -> usize) {
         let mut queue = self.state.lock();
-        let idle = queue.asleep.len() + usize::from(queue.is_polled);
-        let woken = queue.push(jobs, wakes(idle));
+        let most = wakes(queue.asleep.len());
+        let woken = queue.push(jobs, most);
         self.state
             .waiting
             .store(queue.jobs.len(), Ordering::Release);
@@ -179,7 +167,6 @@ impl WorkerState {
     fn next(&self) -> Option<Job> {
         let this = std::thread::current();
         let mut queue = self.lock();
-        let mut may_poll = true;
         loop {
             if let Some(job) = self.take(&mut queue) {
                 return Some(job);
@@ -187,30 +174,12 @@ impl WorkerState {
             if queue.is_closed {
                 return None;
             }
-            if may_poll && !queue.is_polled {
-                may_poll = false;
-                queue.is_polled = true;
-                drop(queue);
-                self.poll();
-                queue = self.lock();
-                queue.is_polled = false;
-            } else {
-                queue.asleep.push(this.clone());
-                drop(queue);
-                std::thread::park();
-                queue = self.lock();
-                // It is still there if it was not woken by `submit`.
-                queue.asleep.retain(|thread| thread.id() != this.id());
-            }
-        }
-    }
-
-    /// Waits a short time for a job.
-    fn poll(&self) {
-        let began = Instant::now();
-        while self.waiting.load(Ordering::Acquire) == 0 && began.elapsed() < POLL_TIME {
-            // Other threads may use this processor.
-            std::thread::yield_now();
+            queue.asleep.push(this.clone());
+            drop(queue);
+            std::thread::park();
+            queue = self.lock();
+            // It is still there if it was not woken by `submit`.
+            queue.asleep.retain(|thread| thread.id() != this.id());
         }
     }
 
@@ -240,6 +209,31 @@ mod tests {
         }
     }
 
+    /// Waits until this number of threads sleep.
+    fn wait_for_sleepers(threads: &WorkerThreads, count: usize) {
+        while threads.state.lock().asleep.len() != count {
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn a_thread_that_does_not_work_sleeps_and_each_job_wakes_one() {
+        let nothing = || -> Job { Box::new(|| ()) };
+        let threads = WorkerThreads::start("test", 3, 0).unwrap();
+        let state = &threads.state;
+        for _ in 0..20 {
+            wait_for_sleepers(&threads, 3);
+            let mut queue = state.lock();
+            let mut woken = queue.push([nothing()], 1);
+            assert_eq!((woken.len(), queue.asleep.len()), (1, 2));
+            // The one that was woken may not have its processor yet: it is not counted upon.
+            woken.append(&mut queue.push([nothing(), nothing()], 1));
+            assert_eq!((woken.len(), queue.asleep.len()), (2, 1));
+            drop(queue);
+            woken.iter().for_each(Thread::unpark);
+        }
+    }
+
     #[test]
     fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
         let threads = WorkerThreads::start("test", 1, 0).unwrap();
@@ -248,7 +242,7 @@ mod tests {
             let done = done.clone();
             threads.submit(Box::new(move || done.send(k).unwrap()));
             if k % 5 == 0 {
-                std::thread::sleep(2 * POLL_TIME);
+                wait_for_sleepers(&threads, 1);
             }
         }
         drop(done);
