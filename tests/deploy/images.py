@@ -207,12 +207,19 @@ def systemd_image(engine):
     return tag
 
 
-def build_options():
-    """The proxies of this machine, as arguments of a build."""
-    proxies = [
-        n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")
+def build_options(engine):
+    """Options of every build of deploy/Dockerfile: the same ones everywhere, so that the second
+    build finds each layer of the first in the cache. The base of this machine, its network and
+    proxies. Only the long form, which measures and compares programs, optimises as a release."""
+    settings = [f"BUILDER={builder_image(engine)}"]
+    if not os.environ.get("MLSWARP_TESTS_FULL"):
+        settings += ["LTO=off", "OPT_LEVEL=1"]
+    settings += [
+        f"{name}={value}"
+        for name, value in os.environ.items()
+        if name.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")
     ]
-    return [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
+    return ["--network=host", *(part for one in settings for part in ("--build-arg", one))]
 
 
 def copied(place):
@@ -229,9 +236,8 @@ def copied(place):
 
 
 def build(engine, tag=IMAGE, *options):
-    """Builds deploy/Dockerfile unchanged, on the network of the host. Only the long form, which
-    measures and compares programs, optimises across crates as a release does."""
-    base = builder_image(engine)
+    """Builds deploy/Dockerfile unchanged."""
+    given = build_options(engine)
     with (
         timed(
             f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"
@@ -239,10 +245,7 @@ def build(engine, tag=IMAGE, *options):
         tempfile.TemporaryDirectory(dir=CACHE) as place,
     ):
         files = copied(Path(place) / "src")
-        lto = "thin" if os.environ.get("MLSWARP_TESTS_FULL") else "off"
-        settings = ["--build-arg", f"BUILDER={base}", "--build-arg", f"LTO={lto}"]
-        given = ["--network=host", *settings, *build_options(), *options]
-        engine.build(*given, "-f", files / "deploy/Dockerfile", "-t", tag, files)
+        engine.build(*given, *options, "-f", files / "deploy/Dockerfile", "-t", tag, files)
 
 
 def program(engine, place, tag=IMAGE):

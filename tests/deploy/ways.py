@@ -22,7 +22,7 @@ from pathlib import Path
 
 from commands import ROOT, Failure, run, say, text, timed, where
 from engine import Apart
-from images import build_options, builder_image, copied, systemd_image
+from images import IMAGE, build_options, copied, systemd_image
 from readme_commands import block
 
 COMPOSE = ROOT / "deploy" / "compose.yaml"
@@ -38,16 +38,9 @@ KEY = re.compile(r"ann (\S{16,})")
 def docker_of(stage, engine, place):
     """A directory with the `docker` that the commands call."""
     place.mkdir()
-    # BuildKit finds every layer in its cache: the image was built from such a copy, with the same
-    # modes of files and directories.
-    options = " ".join(
-        [
-            "--network=host",
-            "--build-arg",
-            f"BUILDER={builder_image(stage.engine)}",
-            *build_options(),
-        ]
-    )
+    # BuildKit finds every layer in its cache: the image was built with the same options and from a
+    # copy of the same files, with the same modes.
+    options = " ".join(map(str, build_options(stage.engine)))
     own = (
         *stage.engine.prefix,
         "env",
@@ -100,6 +93,11 @@ def check_docker(stage, engine, folder, inside):
     try:
         if as_written(stage.check, "Docker", inside):
             stage.check("Docker: the picture is there", is_png(folder / "warped.png"))
+            layers = [
+                stage.engine.text("inspect", "--format", "{{json .RootFS.Layers}}", name)
+                for name in (IMAGE, TAG)
+            ]
+            stage.check("Docker: nothing was compiled a second time", layers[0] == layers[1])
             state = json.loads(
                 engine.text("inspect", "--format", "{{json .HostConfig}}", "mlswarp")
             )
