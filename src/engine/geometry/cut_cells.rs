@@ -14,8 +14,8 @@ pub struct CutCell {
     pub vertices: [u32; 4],
     /// Which set of texels it draws; `None`: all of its cell.
     pub texels: Option<u32>,
-    /// Whether it belongs to nothing: it is drawn before all others, so that dust, which no handle
-    /// moves, never covers what is moved onto it.
+    /// Whether it is dust beside the subject: it is drawn before all others, so that it never
+    /// covers what is moved onto it, and it counts as no fold.
     pub is_loose: bool,
 }
 
@@ -212,9 +212,9 @@ impl CutMesh {
         &self.displacement
     }
 
-    /// Number of quads.
-    pub(super) fn count(&self) -> u64 {
-        self.cells.cells.len() as u64
+    /// The quads of the subject, without dust.
+    pub(super) fn of_subject(&self) -> impl Iterator<Item = &CutCell> {
+        self.cells.cells.iter().filter(|quad| !quad.is_loose)
     }
 
     pub(super) fn displaced(&self, vertex: u32) -> Vec2 {

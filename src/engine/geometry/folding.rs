@@ -66,7 +66,8 @@ impl Mesh {
     #[must_use]
     pub fn folding(&self, cancelled: &dyn Fn() -> bool) -> Option<Folding> {
         let cells = u64::from(self.grid().columns() - 1) * u64::from(self.grid().rows() - 1);
-        let (mut upright, all) = (0, self.cut_mesh().map_or(cells, CutMesh::count));
+        let of_subject = |cut: &CutMesh| cut.of_subject().count() as u64;
+        let (mut upright, all) = (0, self.cut_mesh().map_or(cells, of_subject));
         self.each_cell(cancelled, |_, _, turns| {
             upright += u64::from(Orientation::Upright.is_kept(turns))
         })?;
@@ -106,9 +107,14 @@ impl Mesh {
     /// Whether a cell, or a quad of a cut one, is folded in a mesh of this orientation.
     #[must_use]
     pub fn is_folded(&self, i: u32, j: u32, orientation: Orientation) -> bool {
-        self.corners(i, j).any(|[a, b, c, d]| {
+        let is_folded = |[a, b, c, d]: [Point; 4]| {
             !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a]))
-        })
+        };
+        let Some(cut) = self.cut_mesh() else {
+            return self.corners(i, j).any(is_folded);
+        };
+        let mut of_subject = cut.cells().of_cell(i, j).iter();
+        of_subject.any(|quad| !quad.is_loose && is_folded(cut.posed(quad)))
     }
 
     /// Calls `cell` with column, row and corner cross products of every cell; computes a row of
@@ -119,7 +125,7 @@ impl Mesh {
         mut cell: impl FnMut(u32, u32, [f64; 4]),
     ) -> Option<()> {
         if let Some(cut) = self.cut_mesh() {
-            for quad in cut.cells().cells() {
+            for quad in cut.of_subject() {
                 let [a, b, c, d] = cut.posed(quad);
                 cell(
                     quad.cell[0],

@@ -13,7 +13,7 @@ struct DrawnTexels {
     /// The sets of all quads so far, and where those of this cell begin.
     sets: Vec<u64>,
     first: usize,
-    /// Texels of each quad, and whether one of them belongs to nothing.
+    /// Texels of each quad, and whether they are stray.
     quads: Vec<(usize, bool)>,
     /// The quads by their parts.
     by_part: Vec<(u32, usize)>,
@@ -50,7 +50,7 @@ impl DrawnTexels {
                 self.sample(lattice, mask, (px, py, bit), &own);
             } else if let Some(quad) = lattice.quad_at(mask, px, py) {
                 self.draw(quad - own.start, bit);
-                self.quads[quad - own.start].1 |= mask.root(px, py).is_none();
+                self.quads[quad - own.start].1 |= mask.is_stray(px, py);
             }
         }
         if self.quads[0].0 == wide * high {
@@ -167,8 +167,8 @@ impl CutLattice {
     }
 
     /// The pixel inside, counted row by row, to which each vertex belongs: the nearest one of its
-    /// quads, or the one that their rim is attached to; none where there is only rim that touches
-    /// nothing. `None` when cancelled.
+    /// quads, or the one that their rim is attached to; none where there is only stray rim far from
+    /// all. `None` when cancelled.
     #[must_use]
     pub fn pixels(&self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<Vec<Option<u32>>> {
         let side = self.spacing as usize;

@@ -20,27 +20,29 @@ pub enum Membership {
 /// Pixels inside are joined to their four neighbours inside. A pixel of the rim is attached to one
 /// neighbour, breadth first. It belongs to the pixel inside at which its attachments end, its root,
 /// and two neighbours of which one is rim are joined if these pixels are: so the rim never joins
-/// two parts. Rim that touches no pixel inside is a part of its own.
+/// two parts. Rim that touches no pixel inside is stray, a part of its own. If all pixels of such a
+/// part lie within 16 px of pixels inside, it is dust that goes with them: the root of each is the
+/// nearest one inside.
 #[derive(Debug)]
 pub struct Mask {
-    width: usize,
-    height: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
     inside: usize,
     /// The steps that a line of sight takes for each px on the average.
     steps_per_px: f64,
     /// One byte per pixel: see the constants.
-    pixels: Vec<u8>,
+    pub(super) pixels: Vec<u8>,
     /// The pixels of the rim row by row, and the first of each row.
-    rim: Vec<RimPixel>,
+    pub(super) rim: Vec<RimPixel>,
     first_of_row: Vec<u32>,
 }
 
 /// A pixel that is visible and not inside.
 #[derive(Clone, Copy, Debug)]
-struct RimPixel {
-    x: u32,
-    /// The pixel inside to which it belongs, counted row by row, or [`UNATTACHED`], or [`STRAY`].
-    root: u32,
+pub(super) struct RimPixel {
+    pub(super) x: u32,
+    /// The pixel inside to which it belongs, counted row by row, or [`UNATTACHED`].
+    pub(super) root: u32,
 }
 
 /// Nothing is drawn.
@@ -50,22 +52,23 @@ const OUTSIDE: u8 = 0;
 const LARGEST_CLEARANCE: u8 = 249;
 /// Visible, and not inside.
 const RIM: u8 = 250;
-/// The root of rim that is not attached yet; afterwards there is none.
-const UNATTACHED: u32 = u32::MAX;
-/// The root of rim that touches nothing but rim.
-const STRAY: u32 = u32::MAX - 1;
+/// The same, and it touches nothing but its like.
+pub(super) const STRAY: u8 = 251;
+/// The root of rim that is not attached yet, and of stray rim that goes with nothing.
+pub(super) const UNATTACHED: u32 = u32::MAX;
 /// The neighbours to the right, left, below, above.
-const AROUND: [(isize, isize); 4] = [(1, 0), (-1, 0), (0, 1), (0, -1)];
+pub(super) const AROUND: [(isize, isize); 4] = [(1, 0), (-1, 0), (0, 1), (0, -1)];
 /// Pixels after which somebody is asked whether the work is still needed.
-const PIXELS_PER_CHECK: usize = 1 << 16;
+pub(super) const PIXELS_PER_CHECK: usize = 1 << 16;
 
 impl Mask {
     /// Bytes that the mask of an image takes, of whose pixels `rim` are rim, with what its
     /// construction needs.
     #[must_use]
     pub const fn bytes_for(width: u32, height: u32, rim: u64) -> u64 {
-        // The rim twice, since vectors grow by doubling, and the fronts from which it is attached.
-        width as u64 * height as u64 + 24 * rim + 8 * height as u64
+        // The rim twice, since vectors grow by doubling, and the fronts from which it is attached;
+        // rows, and the pixels inside above a row.
+        width as u64 * height as u64 + 24 * rim + 8 * height as u64 + 4 * width as u64
     }
 
     /// The mask of an image; `row` fills the memberships of the pixels of a row. `None` when
@@ -110,6 +113,7 @@ impl Mask {
         }
         mask.measure_clearance(cancelled)?;
         mask.attach_rim(cancelled)?;
+        mask.attach_stray(cancelled)?;
         Some(mask)
     }
 
@@ -178,8 +182,7 @@ impl Mask {
         self.pixels[at] = self.pixels[at].min(least + 1);
     }
 
-    /// Attaches the rim, breadth first from the pixels inside in row order, and then from the first
-    /// pixel of each part that has none.
+    /// Attaches the rim, breadth first from the pixels inside in row order.
     fn attach_rim(&mut self, cancelled: &dyn Fn() -> bool) -> Option<()> {
         let (mut front, mut next) = (Vec::new(), Vec::new());
         for y in 0..self.height {
@@ -193,30 +196,21 @@ impl Mask {
                 }
             }
         }
-        let mut stray = 0;
-        loop {
-            while !front.is_empty() {
-                for (k, at) in front.drain(..).enumerate() {
-                    if k.is_multiple_of(PIXELS_PER_CHECK) && cancelled() {
-                        return None;
-                    }
-                    self.attach_neighbours(at as usize, &mut next);
+        while !front.is_empty() {
+            for (k, at) in front.drain(..).enumerate() {
+                if k.is_multiple_of(PIXELS_PER_CHECK) && cancelled() {
+                    return None;
                 }
-                std::mem::swap(&mut front, &mut next);
+                self.attach_neighbours(at as usize, &mut next);
             }
-            while stray < self.rim.len() && self.rim[stray].root != UNATTACHED {
-                stray += 1;
-            }
-            if stray == self.rim.len() {
-                return Some(());
-            }
-            self.rim[stray].root = STRAY;
-            let row = self
-                .first_of_row
-                .partition_point(|first| *first as usize <= stray);
-            let at = (row - 1) * self.width + self.rim[stray].x as usize;
-            self.attach_neighbours(at, &mut front);
+            std::mem::swap(&mut front, &mut next);
         }
+        Some(())
+    }
+
+    /// The rim of a row.
+    pub(super) fn rim_of_row(&self, y: usize) -> std::ops::Range<usize> {
+        self.first_of_row[y] as usize..self.first_of_row[y + 1] as usize
     }
 
     fn attach_neighbours(&mut self, at: usize, found: &mut Vec<u32>) {
@@ -236,19 +230,17 @@ impl Mask {
     }
 
     /// The index of a pixel of the rim among all.
-    fn rim_at(&self, at: usize) -> Option<usize> {
-        if self.pixels[at] != RIM {
+    pub(super) fn rim_at(&self, at: usize) -> Option<usize> {
+        if self.pixels[at] < RIM {
             return None;
         }
-        let (x, y) = (number(at % self.width), at / self.width);
-        let first = self.first_of_row[y] as usize;
-        let row = &self.rim[first..self.first_of_row[y + 1] as usize];
-        let found = row.binary_search_by_key(&x, |rim| rim.x);
-        found.ok().map(|found| first + found)
+        let (x, row) = (number(at % self.width), self.rim_of_row(at / self.width));
+        let found = self.rim[row.clone()].binary_search_by_key(&x, |rim| rim.x);
+        found.ok().map(|found| row.start + found)
     }
 
     /// The pixel beside another one, if the image has it.
-    fn beside(&self, at: usize, dx: isize, dy: isize) -> Option<usize> {
+    pub(super) fn beside(&self, at: usize, dx: isize, dy: isize) -> Option<usize> {
         let x = (at % self.width).checked_add_signed(dx)?;
         let y = (at / self.width).checked_add_signed(dy)?;
         (x < self.width && y < self.height).then(|| y * self.width + x)
@@ -304,7 +296,7 @@ impl Mask {
         self.clearance(x, y) > half
     }
 
-    fn is_inside_at(&self, at: usize) -> bool {
+    pub(super) fn is_inside_at(&self, at: usize) -> bool {
         (1..=LARGEST_CLEARANCE).contains(&self.pixels[at])
     }
 
@@ -332,15 +324,18 @@ impl Mask {
         if self.pixels[a] == OUTSIDE || self.pixels[b] == OUTSIDE {
             return false;
         }
-        if self.is_inside_at(a) && self.is_inside_at(b) {
+        // Stray rim touches nothing but its like, and they are one part.
+        if self.is_inside_at(a) && self.is_inside_at(b) || self.pixels[a] == STRAY {
             return true;
         }
-        match (self.root(x, y), self.root(nx, ny)) {
-            // Rim that touches nothing is its own part.
-            (None, None) => true,
-            (Some(a), Some(b)) => self.are_near(a, b),
-            _ => false,
-        }
+        let roots = self.root(x, y).zip(self.root(nx, ny));
+        roots.is_some_and(|(a, b)| self.are_near(a, b))
+    }
+
+    /// Whether a pixel is rim that touches no pixel inside, and no rim that touches one.
+    #[must_use]
+    pub fn is_stray(&self, x: usize, y: usize) -> bool {
+        x < self.width && y < self.height && self.pixels[y * self.width + x] == STRAY
     }
 
     /// Whether two pixels inside are the same, or touch, if diagonally then beside a third one
@@ -353,15 +348,15 @@ impl Mask {
         }
     }
 
-    /// The pixel inside to which a visible pixel belongs: itself, or the end of its attachments.
-    /// `None` of rim that touches no pixel inside.
+    /// The pixel inside to which a visible pixel belongs: itself, or the end of its attachments, or
+    /// of stray rim the nearest one. `None` of stray rim that is far from all.
     #[must_use]
     pub fn root(&self, x: usize, y: usize) -> Option<(usize, usize)> {
         let at = y * self.width + x;
         let root = match self.rim_at(at) {
             None => self.is_inside_at(at).then_some(at)?,
             Some(rim) => match self.rim[rim].root {
-                STRAY | UNATTACHED => return None,
+                UNATTACHED => return None,
                 root => root as usize,
             },
         };
@@ -411,6 +406,6 @@ impl Mask {
 
 /// The number of a pixel: images have fewer than 2^32.
 #[expect(clippy::cast_possible_truncation, reason = "limited by the image")]
-const fn number(pixel: usize) -> u32 {
+pub(super) const fn number(pixel: usize) -> u32 {
     pixel as u32
 }

@@ -10,6 +10,7 @@ mod neighbours;
 mod nodes;
 mod pixel;
 mod sight;
+mod stray;
 mod taut;
 
 /// A handle beside the mask counts as on its nearest pixel within this distance, px.

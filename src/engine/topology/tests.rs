@@ -130,7 +130,7 @@ fn the_rim_follows_what_it_touches_and_joins_nothing() {
     let [left, right] = [quad(2, 3), quad(5, 3)].map(|quad| quad.unwrap().vertices);
     assert!(left.iter().all(|vertex| !right.contains(vertex)));
     let stray = quad(9, 3).unwrap().part;
-    assert!(quad(9, 0).unwrap().part != stray && mask.root(9, 3).is_none());
+    assert!(quad(9, 0).unwrap().part != stray && mask.is_stray(9, 3));
     assert_eq!(mask.root(9, 0), Some((7, 0)));
 }
 
@@ -139,7 +139,43 @@ fn stray_rim_is_a_part_of_its_own() {
     let mask = mask_of(&["0000000", "0+++000", "0+0+001", "0+++000"]);
     let lattice = CutLattice::new(&mask, 3, 100, &|| false).unwrap();
     assert_eq!(lattice.parts(), 2);
-    assert!((1..4).all(|x| mask.root(x, 1).is_none() && mask.root(x, 3).is_none()));
+    assert!((1..4).all(|x| mask.is_stray(x, 1) && mask.is_stray(x, 3)));
+}
+
+#[test]
+fn dust_goes_with_the_nearest_pixel_inside() {
+    // Without an order: the body, dust near it, and what reaches farther than dust does.
+    let noise = |y: u32, row: &mut [Membership]| {
+        for (x, membership) in (0_u32..).zip(row) {
+            *membership = match (x * 7919 + y * 104_729 + (x * y) % 13 * 31) % 97 {
+                0 if x < 70 => Membership::Inside,
+                1..30 => Membership::Rim,
+                _ => Membership::Outside,
+            };
+        }
+    };
+    let mask = Mask::new(120, 90, noise, &|| false).unwrap();
+    let all = || (0..90).flat_map(|y| (0..120).map(move |x| (x, y)));
+    let distance2 =
+        |a: (usize, usize), b: (usize, usize)| a.0.abs_diff(b.0).pow(2) + a.1.abs_diff(b.1).pow(2);
+    let nearest = |pixel| {
+        let inside = all().filter(|(x, y)| mask.is_inside(*x, *y));
+        let of = |inside| (distance2(pixel, inside), inside.1, inside.0);
+        let (distance2, y, x) = inside.map(of).min().unwrap();
+        (distance2 <= 256).then_some((x, y))
+    };
+    let mut found = [0; 3];
+    for (x, y) in all().filter(|(x, y)| mask.is_stray(*x, *y)) {
+        let (root, expected) = (mask.root(x, y), nearest((x, y)));
+        // A piece that is somewhere far from all goes with nothing.
+        let beside = [(x + 1, y), (x, y + 1)];
+        let mut beside = beside.iter().filter(|(x, y)| mask.is_stray(*x, *y));
+        assert!(beside.all(|(x, y)| mask.root(*x, *y).is_some() == root.is_some()));
+        assert!(root.is_none() || root == expected, "{x} {y}");
+        let kind = usize::from(expected.is_some()) + usize::from(root.is_some());
+        found[kind] += 1;
+    }
+    assert!(found.iter().all(|kind| *kind > 10), "{found:?}");
 }
 
 #[test]
@@ -313,7 +349,7 @@ fn quads_draw_their_texels_and_those_beside_them() {
                 };
                 assert_eq!(cells.draws(drawn, x, y), draws, "{side} {quad:?} {x} {y}");
                 is_whole &= draws;
-                is_loose |= draws && mask.is_visible(px, py) && mask.root(px, py).is_none();
+                is_loose |= draws && mask.is_stray(px, py);
             }
             assert_eq!(drawn.texels.is_none(), is_whole, "{side} {quad:?}");
             assert_eq!(drawn.is_loose, is_loose, "{side} {quad:?}");

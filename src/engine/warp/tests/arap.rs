@@ -296,6 +296,51 @@ fn what_is_drawn_is_f() {
 }
 
 #[test]
+fn dust_goes_with_the_subject_and_is_no_fold() {
+    let (body, empty) = ("1".repeat(40) + &"0".repeat(50), "0".repeat(90));
+    let near = "0".repeat(20) + "22" + &"0".repeat(68);
+    let far = "0".repeat(80) + "2222" + &"0".repeat(6);
+    let rows: Vec<&str> = std::iter::repeat_n(&*body, 20)
+        .chain([&*empty; 5])
+        .chain([&*near])
+        .chain([&*empty; 14])
+        .chain([&*far])
+        .collect();
+    let mask = mask(&rows);
+    let (p, dust) = ([(5.5, 5.5), (35.5, 14.5)], (21.0, 25.5));
+    // Turned upside down; q of what is not dust is seen from (20, 10).
+    let turned = |(x, y): (f64, f64)| (40.0 - x, 20.0 - y);
+    let q = points(&p.map(turned));
+    let geodesic = RestSpec {
+        method: Method::Rigid,
+        own: deform::Parameters::default(),
+        metric: Metric::Geodesic,
+        ..puppet(points(&p), &mask, None)
+    };
+    for rest in [puppet(points(&p), &mask, Some(8.0)), geodesic] {
+        let resolved = resolve(&rest).unwrap();
+        let pose = resolved.pose(&q).unwrap();
+        let plan = resolved.plan(&|| false).unwrap();
+        let posed = PosedMesh::new(&resolved, &plan, &pose, Folds::Report, &|| false).unwrap();
+        let f = resolved.transform(&pose);
+        for (at, expected) in [(dust, turned(dust)), ((82.0, 40.5), (82.0, 40.5))] {
+            let [at, expected] = [at, expected].map(|(x, y)| Point::new(x, y));
+            let drawn = posed.mesh().map(at).unwrap();
+            assert!(drawn.distance(expected) < 1e-4, "{drawn:?}");
+            let f = f.map(&[at], &|| false).unwrap()[0].unwrap();
+            assert!(f.distance(expected) < 1e-4, "{f:?}");
+        }
+        assert_eq!(posed.report().folds, 0);
+    }
+    let on_dust = puppet(points(&[p[0], dust]), &mask, None);
+    let refused = resolve(&on_dust).unwrap_err();
+    assert_eq!(
+        refused,
+        WarpError::Rest(DeformError::OutsideMask { handle: 1 })
+    );
+}
+
+#[test]
 fn what_has_no_mesh_is_refused() {
     let mask = mask(&LEGS);
     let rest = |p: &[(f64, f64)]| puppet(points(p), &mask, Some(4.0));

@@ -17,6 +17,8 @@ pub(super) struct LatticeMesh {
     mask: Arc<Mask>,
     lattice: CutLattice,
     cells: Arc<CutCells>,
+    /// The vertices of dust, and the positions of the subject's quads that they go with.
+    dust: Vec<(u32, QuadAnchor)>,
 }
 
 impl LatticeMesh {
@@ -44,11 +46,43 @@ impl LatticeMesh {
         }
         let cells = lattice.cells_of(mask, cancelled);
         let cells = cells.ok_or(DeformError::Cancelled)?;
-        Ok(Self {
+        let mut mesh = Self {
             mask: Arc::clone(mask),
             lattice,
             cells: Arc::new(cells),
-        })
+            dust: Vec::new(),
+        };
+        mesh.dust = mesh.find_dust(cancelled).ok_or(DeformError::Cancelled)?;
+        Ok(mesh)
+    }
+
+    /// Dust goes with the quad of the nearest pixel inside, which is continued to it. `None` when
+    /// cancelled.
+    fn find_dust(&self, cancelled: &dyn Fn() -> bool) -> Option<Vec<(u32, QuadAnchor)>> {
+        let dust = self.cells.cells().iter().filter(|quad| quad.is_loose);
+        let mut vertices: Vec<u32> = dust.flat_map(|quad| quad.vertices).collect();
+        if vertices.is_empty() {
+            return Some(Vec::new());
+        }
+        vertices.sort_unstable();
+        vertices.dedup();
+        let pixels = self.lattice.pixels(&self.mask, cancelled)?;
+        let width = self.mask.size().0;
+        let anchor = |vertex: u32| {
+            let pixel = pixels[vertex as usize]? as usize;
+            let quad = (self.lattice).quad_at(&self.mask, pixel % width, pixel / width)?;
+            let [x, y] = self.lattice.vertices()[vertex as usize].map(f64::from);
+            let at = Point::new(x * self.side(), y * self.side());
+            Some((vertex, self.anchor(quad, at)))
+        };
+        Some(vertices.into_iter().filter_map(anchor).collect())
+    }
+
+    /// Moves dust with the subject. The vertices of the subject have been moved.
+    pub(super) fn move_dust(&self, u: &mut [Vec2]) {
+        for (vertex, anchor) in &self.dust {
+            u[*vertex as usize] = anchor.displaced(u);
+        }
     }
 
     pub(super) const fn lattice(&self) -> &CutLattice {
@@ -63,9 +97,17 @@ impl LatticeMesh {
         f64::from(self.lattice.spacing())
     }
 
-    /// The quad that draws a position, or whose pixel inside is the nearest one within a distance,
-    /// px. Rim that touches nothing belongs to no handle.
+    /// The quad of the subject that draws a position, or whose pixel inside is the nearest one
+    /// within a distance, px. No handle holds dust.
     pub(super) fn quad_of(&self, v: Point, within: f64) -> Option<usize> {
+        self.drawn_at(v)
+            .filter(|(x, y)| !self.mask.is_stray(*x, *y))
+            .or_else(|| self.mask.pixel_at(v, within))
+            .and_then(|(x, y)| self.lattice.quad_at(&self.mask, x, y))
+    }
+
+    /// The pixel of a position, if it is visible.
+    fn drawn_at(&self, v: Point) -> Option<(usize, usize)> {
         let pixel = |c: f64| {
             #[expect(
                 clippy::cast_possible_truncation,
@@ -75,15 +117,8 @@ impl LatticeMesh {
             let pixel = (c >= 0.0).then_some(c as usize);
             pixel
         };
-        let (width, height) = self.mask.size();
-        let own = pixel(v.x).zip(pixel(v.y)).filter(|(x, y)| {
-            *x < width
-                && *y < height
-                && self.mask.is_visible(*x, *y)
-                && self.mask.root(*x, *y).is_some()
-        });
-        let (x, y) = own.or_else(|| self.mask.pixel_at(v, within))?;
-        self.lattice.quad_at(&self.mask, x, y)
+        let own = pixel(v.x).zip(pixel(v.y));
+        own.filter(|(x, y)| self.mask.is_visible(*x, *y))
     }
 
     /// A position of a quad: as shares of its corners, which extrapolate beside it.
@@ -99,7 +134,10 @@ impl LatticeMesh {
 
     /// The displacement of a position; of those far from the mask 0.
     pub(super) fn displaced(&self, u: &[Vec2], v: Point) -> Vec2 {
-        let quad = self.quad_of(v, POSITION_TO_MASK_PX);
+        let quad = match self.drawn_at(v) {
+            Some((x, y)) => self.lattice.quad_at(&self.mask, x, y),
+            None => self.quad_of(v, POSITION_TO_MASK_PX),
+        };
         quad.map_or(Vec2::ZERO, |quad| self.anchor(quad, v).displaced(u))
     }
 

@@ -217,6 +217,7 @@ impl PosableMesh {
                 }
             }
         }
+        self.mesh.move_dust(&mut u);
         Some((u, least))
     }
 }

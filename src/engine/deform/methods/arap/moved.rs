@@ -129,12 +129,12 @@ fn check_cost(
     }
 }
 
-/// Memory of a mesh of this many vertices, bytes: its lattice, two factors, and the response to
-/// what is held.
+/// Memory of a mesh of this many vertices, bytes: its lattice, its dust, two factors, and the
+/// response to what is held.
 pub(super) fn bytes_of(vertices: u64, held: u64) -> u64 {
     let logarithm = u64::from(vertices.max(2).ilog2()) + 1;
     let held = held.min(MAX_HELD);
-    vertices * (128 * logarithm + 24 * held.min(KEPT_ANCHORS as u64) + 512)
+    vertices * (128 * logarithm + 24 * held.min(KEPT_ANCHORS as u64) + 592)
         + 96 * held * held
         + (1 << 20)
 }
