@@ -4,6 +4,8 @@ use mlswarp_server::limits::memory::MemoryClass;
 use serde_json::{Value, json};
 
 use crate::batch::zip;
+use crate::support::drag_client::DragClient;
+use crate::support::redis::Redis;
 use crate::support::server::{header, png, problem};
 use crate::support::{Server, eventually, photo};
 
@@ -254,4 +256,56 @@ async fn a_session_keeps_it_for_every_route_and_gives_its_memory_back() {
         refused["detail"].as_str().unwrap().starts_with("frame 1: "),
         "{refused}"
     );
+}
+
+/// The displacements of a mesh frame.
+fn displacements(frame: &[u8]) -> Vec<[f32; 2]> {
+    let number = |at: &[u8]| f32::from_le_bytes(at.try_into().unwrap());
+    let vertices = frame.chunks_exact(8);
+    vertices
+        .map(|at| [number(&at[..4]), number(&at[4..])])
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_drag_does_not_jump_where_folds_begin_and_is_the_same_in_every_replica() {
+    let redis = Redis::start(&[]);
+    let options = ["--store", &redis.address()];
+    let (a, b) = (Server::start(&options).await, Server::start(&options).await);
+    let image = photo(SIZE.0, SIZE.1);
+    let rest = |folds| json!({"p": P, "folds": folds, "grid": {"columns": 41, "rows": 33}});
+    let id = a.session(&image, &rest("remove")).await;
+    let plain = a.session(&image, &rest("report")).await;
+    let mut drag = DragClient::open(a.address, &id, "?frames=mesh").await;
+    let mesh_of = async |server: &Server, id: &str, q: &Value| {
+        let request = server
+            .post(&format!("/sessions/{id}/mesh"))
+            .header("accept", "application/octet-stream");
+        let response = request.json(&json!({"q": q})).send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        response.bytes().await.unwrap()
+    };
+    const STEP: f64 = 2.0;
+    let (mut before, mut with_folds) = (Vec::<[f32; 2]>::new(), 0);
+    for seq in 0..50_u32 {
+        let q = pulled([P[4][0] + STEP * f64::from(seq), P[4][1]]);
+        drag.pose(seq.into(), &q).await;
+        let (of, frame) = drag.frame().await;
+        drag.ack(of).await;
+        with_folds += u32::from(frame != mesh_of(&a, &plain, &q).await);
+        if with_folds.is_multiple_of(3) {
+            assert!(frame == mesh_of(&b, &id, &q).await, "{seq}");
+        }
+        let now = displacements(&frame);
+        for (before, now) in before.iter().zip(&now) {
+            let [dx, dy]: [f32; 2] = [now[0] - before[0], now[1] - before[1]];
+            let jump = f64::from(dx.hypot(dy));
+            assert!(jump <= 3.0 * STEP, "{seq}: {jump}");
+        }
+        before = now;
+        if with_folds == 6 {
+            break;
+        }
+    }
+    assert_eq!(with_folds, 6, "folds are removed");
 }
