@@ -85,7 +85,11 @@ impl ControlLattice {
             let linear = edges[0].cross(moved[1]) + moved[0].cross(edges[1]);
             let square = moved[0].cross(moved[1]);
             let spare = self.area * (1.0 - LEAST_CORNER);
-            longest = longest.min(first_root([spare, linear, square]));
+            // Most corners lose less than they have to spare, which needs no root.
+            let lost = linear.min(0.0) + square.min(0.0) * longest;
+            if spare + lost * longest <= 0.0 {
+                longest = longest.min(first_root([spare, linear, square]));
+            }
             true
         });
         longest

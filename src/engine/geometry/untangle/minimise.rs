@@ -108,8 +108,19 @@ fn direction(slope: &[Vec2], memory: &[Remembered]) -> Vec<Vec2> {
     d
 }
 
+/// Several sums side by side: one alone would wait for each of its additions.
 fn dot(a: &[Vec2], b: &[Vec2]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum()
+    const SUMS: usize = 8;
+    let (in_a, in_b) = (a.chunks_exact(SUMS), b.chunks_exact(SUMS));
+    let rest = in_a.remainder().iter().zip(in_b.remainder());
+    let rest: f64 = rest.map(|(a, b)| a.dot(*b)).sum();
+    let mut sums = [0.0; SUMS];
+    for (a, b) in in_a.zip(in_b) {
+        for k in 0..SUMS {
+            sums[k] += a[k].dot(b[k]);
+        }
+    }
+    rest + sums.iter().sum::<f64>()
 }
 
 fn scale(a: &mut [Vec2], by: f64) {
