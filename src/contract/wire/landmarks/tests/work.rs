@@ -174,27 +174,42 @@ fn cost(file: &LandmarkFiles) -> (usize, u64) {
         .unwrap()
 }
 
+/// What is wrong with the work of a file and of another one of twice its length.
+fn wrong_growth(small: String, large: String) -> Vec<String> {
+    let what = start(&small);
+    let (small, large) = (both(small), both(large));
+    let ((bytes, time), (more_bytes, more_time)) = (cost(&small), cost(&large));
+    let mut wrong = Vec::new();
+    // Each byte is looked at some times, and no byte in vain: the count is what is done.
+    let passes = more_bytes as f64 / large.bytes() as f64;
+    if more_bytes > 2 * bytes + 8 * BYTES_PER_CHECK || !(0.9..=16.0).contains(&passes) {
+        wrong.push(format!(
+            "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
+        ));
+    }
+    // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of
+    // 4 ms each, that others have used: what is quadratic takes far more.
+    if more_time > 3 * time + 24_000_000 {
+        wrong.push(format!("{what:?}: {time} ns, of twice as much {more_time}"));
+    }
+    wrong
+}
+
 #[test]
 fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
     const SIZE: usize = 256 << 10;
-    let mut wrong = Vec::new();
-    for (small, large) in files(SIZE).zip(files(2 * SIZE)) {
-        let what = start(&small);
-        let (small, large) = (both(small), both(large));
-        let ((bytes, time), (more_bytes, more_time)) = (cost(&small), cost(&large));
-        // Each byte is looked at some times, and no byte in vain: the count is what is done.
-        let passes = more_bytes as f64 / large.bytes() as f64;
-        if more_bytes > 2 * bytes + 8 * BYTES_PER_CHECK || !(0.9..=16.0).contains(&passes) {
-            wrong.push(format!(
-                "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
-            ));
-        }
-        // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of
-        // 4 ms each, that others have used: what is quadratic takes far more.
-        if more_time > 3 * time + 24_000_000 {
-            wrong.push(format!("{what:?}: {time} ns, of twice as much {more_time}"));
-        }
-    }
+    // No other test of this program takes as long, so it uses the processors itself.
+    const THREADS: usize = 4;
+    let wrong_of = |first: usize| -> Vec<String> {
+        let pairs = files(SIZE).zip(files(2 * SIZE)).skip(first);
+        let wrong = pairs.step_by(THREADS).flat_map(|(s, l)| wrong_growth(s, l));
+        wrong.collect()
+    };
+    let wrong = std::thread::scope(|scope| {
+        let threads: [_; THREADS] =
+            std::array::from_fn(|first| scope.spawn(move || wrong_of(first)));
+        threads.map(|thread| thread.join().unwrap()).concat()
+    });
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
