@@ -415,6 +415,23 @@ for k, pose in enumerate(plan.jitter(sigma=6, count=60, seed=7)):
     assert all_of_them <= ten + 4 and all_of_them < 300
 
 
+def test_calls_reuse_the_memory_of_those_before():
+    """Fresh pages for each image of 500 x 500 would be 700 faults, and half of the time."""
+    code = """
+import resource, mlswarp, numpy as np
+faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+pose = mlswarp.Plan([[100, 100]], size=(500, 500)).pose([[110, 100]])
+image = np.zeros((500, 500, 3), np.uint8)
+for _ in range(20):
+    pose.warp(image)
+before = faults()
+for _ in range(50):
+    pose.warp(image)
+print((faults() - before) // 50)
+"""
+    assert int(python(code, MLSWARP_NUM_THREADS="1")[0]) < 100
+
+
 class Interrupt(Exception):
     pass
 

@@ -14,6 +14,10 @@ mod pool;
 mod pose;
 mod values;
 
+/// It serves what Rust allocates in this module; Python and NumPy keep their own.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// The module itself.
 #[pyo3::pymodule(name = "_engine")]
 mod engine {
