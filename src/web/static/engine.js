@@ -89,7 +89,7 @@ function engineFor(purpose) {
 /** Gets both, so that the first picture does not wait for them. */
 export const prepare = () =>
   Promise.all([engineFor("preview"), engineFor("files")]).catch(() => {
-    // Whoever needs one hears it.
+    // The first request that needs an engine reports the error.
   });
 
 /**
@@ -122,8 +122,8 @@ async function by(purpose, work) {
 }
 
 /**
- * A file that is drawn, and what is said of it. Nobody waits for work that is not wanted any more:
- * its engine ends.
+ * Draws a file, and reports on it. When the request is aborted, its engine ends, because it cannot
+ * stop in between.
  *
  * @param {Blob} file
  * @param {object} warp
@@ -248,6 +248,8 @@ async function open(id, form, signal) {
     seq: null,
     planned: await planned(rest, size),
   };
+  // The same request, sent again.
+  close(id);
   sessions.set(id, session);
   for (const old of [...sessions.keys()].slice(0, -MOST_SESSIONS)) close(old);
   return described(session);
@@ -264,10 +266,10 @@ function close(id) {
  * @param {Page.Rest} rest
  */
 async function replace(session, rest) {
-  const before = session.planned;
-  session.planned = await planned(rest, session.size);
-  before.plan.dispose();
-  Object.assign(session, { rest, revision: ++revisions });
+  const next = await planned(rest, session.size);
+  // After the wait, in which another request may have replaced it.
+  session.planned.plan.dispose();
+  Object.assign(session, { rest, planned: next, revision: ++revisions });
   return described(session);
 }
 
@@ -409,7 +411,7 @@ async function landmarks(query, body) {
     throw new Refused(422, "needs_server", "A file that counts y from below needs a server.");
   const item = query.get("item");
   const [p, q] = await Promise.all(files.map((file) => file.arrayBuffer()));
-  // Not by that for files, which ends with a picture that nobody waits for.
+  // The engine for files ends when a picture is aborted, and would take this request with it.
   return by("preview", (engine) => engine.landmarks(p, q, item === null ? {} : { item }));
 }
 
