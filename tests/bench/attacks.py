@@ -5,12 +5,17 @@ without it.
     tests/bench/attacks.py PROGRAM [NAME ...]      names select attacks; needs curl
 
 Two servers run. Four innocent clients, processes of their own, drag a session of each in turns,
-every 30 ms: the attacked server, and the other one (control), whose times show what the load of the
-machine costs. Attackers are processes with other addresses of the loopback. Clients stand for other
+every 30 ms: the attacked server, and the other one, whose times show what the load of the machine
+costs. Attackers are processes with other addresses of the loopback. Clients stand for other
 machines, but share the processors with the servers: so the innocent ones run as soon as an answer
 is there (real-time priority, where the system allows it), and attackers at the lowest priority.
-Each attack lasts ten seconds. Prints p50 and p99 in milliseconds, and the ratio of p99 beside the
-attack to p99 without one. The exit status is 1 if a ratio exceeds two.
+
+Spells without and with the attack take turns, so that both see the same machine: four of each,
+2.5 seconds long. Between them the server finishes what the attack has left. Prints p50 and p99 of
+all calm and of all attacked spells in milliseconds and the ratio of p99; in brackets the least and
+the largest ratio of a spell and the one before it. The first lines show the same beside one and two
+processes that only compute, which no server can prevent. The exit status is 1 if the ratio of an
+attack exceeds two.
 """
 
 import contextlib
@@ -19,6 +24,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import pathlib
 import random
 import socket
 import struct
@@ -29,7 +35,7 @@ import zlib
 
 from programs import JSON, PHOTO
 
-SECONDS = 10
+SPELL, START, ROUNDS = 2.5, 0.5, 4
 INNOCENT = 4
 HOST, PORT, CONTROL = "127.0.0.1", 18191, 18192
 MANY = [[(k * 37) % 4999 / 10 + 0.1, (k * 91) % 4987 / 10 + 0.2] for k in range(10_000)]
@@ -322,8 +328,19 @@ ATTACKS = {
 }
 
 
+def burn(end):
+    """A foreign load of one processor, at the niceness of the server: what the machine itself
+    costs."""
+    while time.time() < end:
+        pass
+
+
+# What the innocent clients are measured beside, and is no attack.
+LOADS = {f"no attack, {n} busy processor{'s'[: n - 1]}": (lambda n=n: [burn] * n) for n in (1, 2)}
+
+
 def innocent(end, times):
-    """Drags a session of each server in turns, and puts the lists of its response times, ms."""
+    """Drags a session of each server in turns; puts the list of (began, ms) of each."""
     targets = []
     for port in (PORT, CONTROL):
         targets.append(
@@ -338,12 +355,11 @@ def innocent(end, times):
                     "output": {"format": "jpeg", "width": 200},
                 }
             )
-            began = time.perf_counter()
+            at, began = time.time(), time.perf_counter()
             status, _, _ = ask(connection, "POST", f"/sessions/{id_}/warp", body, JSON)
-            own.append((time.perf_counter() - began) * 1e3 if status == 200 else 60_000.0)
+            own.append((at, (time.perf_counter() - began) * 1e3 if status == 200 else 60_000.0))
         time.sleep(0.03)
-    # The first builds the plan.
-    times.put([own[1:] for *_, own in targets])
+    times.put([own for *_, own in targets])
 
 
 def percentiles(times):
@@ -351,41 +367,96 @@ def percentiles(times):
     return times[len(times) // 2], times[min(len(times) - 1, len(times) * 99 // 100)]
 
 
-def measure(attackers):
-    """The innocent clients' times beside these attackers: of the attacked server, and of the other
-    one."""
-    return beside(attackers, innocent, INNOCENT)
+def processor_seconds(server):
+    fields = pathlib.Path(f"/proc/{server.pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def beside(attackers, client, count):
-    """Percentiles of what `count` of this client put, each of its lists for all together."""
-    end, times = multiprocessing.Value("d", time.time() + 60), multiprocessing.Queue()
+def settle(server):
+    """Waits until what the last attack has left is done: four clients cost far less than this."""
+    for _ in range(40):
+        before = processor_seconds(server)
+        time.sleep(0.25)
+        if processor_seconds(server) - before < 0.12:
+            return
+
+
+def spells_beside(server, attackers):
+    """Spells (began, ended): calm and attacked ones in turns."""
+    calm, attacked = [], []
+    for _ in range(ROUNDS):
+        settle(server)
+        began = time.time()
+        time.sleep(SPELL)
+        calm.append((began, time.time()))
+        until = time.time() + START + SPELL
+        processes = [
+            multiprocessing.Process(
+                target=attack if attack is burn else at_lowest_priority(attack),
+                args=(until,),
+                daemon=True,
+            )
+            for attack in attackers
+        ]
+        for process in processes:
+            process.start()
+        time.sleep(START)
+        began = time.time()
+        time.sleep(max(0.0, until - began))
+        attacked.append((began, time.time()))
+        for process in processes:
+            # It ends by itself with what it has started.
+            process.join(2)
+            process.kill()
+    return calm, attacked
+
+
+def measure(server, attackers, client, count):
+    """The response times of `count` of this client, for the attacked server and for the other one:
+    those of each calm and each attacked spell."""
+    end, times = multiprocessing.Value("d", time.time() + 600), multiprocessing.Queue()
     run = as_soon_as_possible(client)
     clients = [multiprocessing.Process(target=run, args=(end, times)) for _ in range(count)]
     for process in clients:
         process.start()
     time.sleep(1)
-    until = time.time() + SECONDS
-    processes = [
-        multiprocessing.Process(target=at_lowest_priority(attack), args=(until,), daemon=True)
-        for attack in attackers
-    ]
-    for process in processes:
-        process.start()
-    end.value = until
+    kinds = spells_beside(server, attackers)
+    end.value = 0
     result = [times.get(timeout=180) for _ in clients]
     for process in clients:
         process.join()
-    for process in processes:
-        process.join(2)
-        process.kill()
-    return [percentiles(itertools.chain(*own)) for own in zip(*result)]
+    return [
+        [
+            [
+                [ms for own in lists for at, ms in own if began <= at < ended]
+                for began, ended in kind
+            ]
+            for kind in kinds
+        ]
+        for lists in zip(*result)
+    ]
 
 
-def main():
+def line(name, calm, attacked):
+    """The p50 and p99 of all spells of a kind together, and the ratio of these; the least and the
+    largest ratio of a spell and the one before it."""
+    (c50, c99), (a50, a99) = (percentiles(itertools.chain(*kind)) for kind in (calm, attacked))
+    ratios = [percentiles(a)[1] / percentiles(c)[1] for c, a in zip(calm, attacked)]
+    print(
+        f"{name:46} calm {c50:5.1f} {c99:6.1f}   beside {a50:5.1f} {a99:6.1f}   ratio "
+        f"{a99 / c99:5.2f} ({min(ratios):.1f} to {max(ratios):.1f})",
+        flush=True,
+    )
+    return a99 / c99
+
+
+def compare(attacks, client, count, options=()):
+    """Prints a line for each of the attacks on the program of the command line, of those that its
+    other arguments select. The exit status."""
+    multiprocessing.set_start_method("fork")
     program, *names = sys.argv[1:]
     servers = [
-        subprocess.Popen([program, "--listen", f"{HOST}:{port}", "--log", "off"])
+        subprocess.Popen([program, "--listen", f"{HOST}:{port}", "--log", "off", *options])
         for port in (PORT, CONTROL)
     ]
     worst = 0.0
@@ -397,21 +468,12 @@ def main():
                     break
                 except OSError:
                     time.sleep(0.05)
-        alone = measure([])[0]
-        print(f"{'without an attack':46} p50 {alone[0]:7.1f}  p99 {alone[1]:7.1f} ms", flush=True)
-        for name, prepare in ATTACKS.items():
-            if names and not any(wanted in name for wanted in names):
-                continue
-            attackers = prepare()
-            time.sleep(0.5)
-            attacked, control = measure(attackers)
-            ratio = attacked[1] / alone[1]
-            worst = max(worst, ratio)
-            print(
-                f"{name:46} p50 {attacked[0]:7.1f}  p99 {attacked[1]:7.1f} ms;  control "
-                f"{control[0]:6.1f} {control[1]:6.1f};  ratio {ratio:.2f}",
-                flush=True,
-            )
+        for name, prepare in (LOADS | attacks).items():
+            if name in LOADS or not names or any(wanted in name for wanted in names):
+                attacked, other = measure(servers[0], prepare(), client, count)
+                ratio = line(name, *attacked)
+                line("    the other server", *other)
+                worst = max(worst, ratio if name in attacks else 0.0)
     finally:
         for server in servers:
             server.terminate()
@@ -420,5 +482,4 @@ def main():
 
 
 if __name__ == "__main__":
-    multiprocessing.set_start_method("fork")
-    sys.exit(main())
+    sys.exit(compare(ATTACKS, innocent, INNOCENT))
