@@ -529,7 +529,7 @@ async fn rest(day: &Day) -> u64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
     let full = std::env::var_os("MLSWARP_TESTS_FULL").is_some();
-    let (warming, time) = if full { (120, 480) } else { (18, 32) };
+    let (warming, time) = if full { (120, 480) } else { (10, 16) };
     let sizes = [(64, 48), (200, 150), (300, 200), (640, 480), (900, 700)];
     let day = Arc::new(Day {
         program: Program::start(&OPTIONS),

@@ -147,12 +147,13 @@ mod tests {
 
     #[tokio::test]
     async fn does_what_the_model_does() {
-        for seed in 0..3 {
+        model::with_each_seed(async |seed| {
             let open = async |old: Option<Vec<MemoryStore>>| {
                 old.unwrap_or_else(|| vec![MemoryStore::new(model::bounds())])
             };
             model::follows(open, seed, 400, true, false).await;
-        }
+        })
+        .await;
     }
 
     #[tokio::test]

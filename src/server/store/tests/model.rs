@@ -140,6 +140,13 @@ impl Live {
     }
 }
 
+/// Runs a test for each of some random orders of steps, all at the same time: mostly they wait for
+/// sessions to expire.
+pub(crate) async fn with_each_seed(test: impl AsyncFn(u64)) {
+    let test = &test;
+    futures_util::future::join_all((0..3).map(async |seed| test(seed).await)).await;
+}
+
 /// Does `steps` random steps over stores that share their sessions. `open` opens all of them
 /// (again), and `restarts_idle_time` says that their sessions live for another idle period after
 /// that.

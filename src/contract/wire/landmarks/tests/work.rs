@@ -161,24 +161,28 @@ fn processor_time() -> u64 {
     text.split(' ').next().unwrap().parse().unwrap()
 }
 
-/// The counted bytes and the processor time of reading, the least of some attempts.
+/// The counted bytes and the processor time of reading.
 fn cost(file: &LandmarkFiles) -> (usize, u64) {
-    let attempt = || {
-        let (work, began) = (Work::new(&|| false), processor_time());
-        let _ = file.read_counted(MANY_BYTES, &work);
-        (work.bytes(), processor_time() - began)
-    };
-    (0..3)
-        .map(|_| attempt())
-        .min_by_key(|(_, time)| *time)
-        .unwrap()
+    let (work, began) = (Work::new(&|| false), processor_time());
+    let _ = file.read_counted(MANY_BYTES, &work);
+    (work.bytes(), processor_time() - began)
 }
 
 /// What is wrong with the work of a file and of another one of twice its length.
 fn wrong_growth(small: String, large: String) -> Vec<String> {
     let what = start(&small);
     let (small, large) = (both(small), both(large));
-    let ((bytes, time), (more_bytes, more_time)) = (cost(&small), cost(&large));
+    let ((bytes, mut time), (more_bytes, mut more_time)) = (cost(&small), cost(&large));
+    // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of
+    // 4 ms each, that others have used: what is quadratic takes far more.
+    let is_slow = |time: u64, more: u64| more > 3 * time + 24_000_000;
+    // Somebody else may have had the caches: the least of some attempts is the reader's own time.
+    for _ in 0..4 {
+        if is_slow(time, more_time) {
+            time = time.min(cost(&small).1);
+            more_time = more_time.min(cost(&large).1);
+        }
+    }
     let mut wrong = Vec::new();
     // Each byte is looked at some times, and no byte in vain: the count is what is done.
     let passes = more_bytes as f64 / large.bytes() as f64;
@@ -187,9 +191,7 @@ fn wrong_growth(small: String, large: String) -> Vec<String> {
             "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
         ));
     }
-    // Four times would be quadratic. A thread may be charged a few of the scheduler's ticks, of
-    // 4 ms each, that others have used: what is quadratic takes far more.
-    if more_time > 3 * time + 24_000_000 {
+    if is_slow(time, more_time) {
         wrong.push(format!("{what:?}: {time} ns, of twice as much {more_time}"));
     }
     wrong

@@ -46,14 +46,15 @@ async fn keeps_the_rules_of_every_store() {
 
 #[tokio::test]
 async fn does_what_the_model_does_also_when_it_is_opened_again() {
-    for seed in 0..3 {
+    model::with_each_seed(async |seed| {
         let place = Place::new();
         let open = async |old| {
             drop::<Option<Vec<FileStore>>>(old);
             vec![FileStore::open(&place.0, model::bounds()).unwrap()]
         };
         model::follows(open, seed, 400, true, true).await;
-    }
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

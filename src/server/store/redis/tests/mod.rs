@@ -29,8 +29,8 @@ async fn keeps_the_rules_of_every_store() {
 
 #[tokio::test]
 async fn several_processes_do_what_the_model_does() {
-    let server = Redis::start(&[]);
-    for seed in 0..3 {
+    model::with_each_seed(async |seed| {
+        let server = Redis::start(&[]);
         let open = async |_| {
             vec![
                 store_of(&server, model::bounds()),
@@ -38,7 +38,8 @@ async fn several_processes_do_what_the_model_does() {
             ]
         };
         model::follows(open, seed, 400, false, false).await;
-    }
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
