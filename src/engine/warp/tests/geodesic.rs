@@ -480,28 +480,28 @@ fn winding(y: u32, row: &mut [Membership]) {
 }
 
 #[test]
-fn megapixels_of_noise_are_refused_before_they_are_computed() {
+fn fifty_megapixels_of_noise_are_refused_before_they_are_computed() {
     use std::sync::atomic::{AtomicUsize, Ordering};
-    // As large as a picture may be, or a quarter of that, which is refused as well.
-    let side = if is_full() { 7000 } else { 3500 };
     let limits = Limits::default();
-    let step = f64::from(side / 100);
-    let (one, many): (&[i32], &[i32]) = (&[1], &[1, 10_000]);
+    let (one, many): (&[i32], &[i32]) = match is_full() {
+        true => (&[1], &[1, 10_000]),
+        false => (&[1], &[10_000]),
+    };
     for (name, picture, counts) in [
         ("dots", dots as fn(u32, &mut [Membership]), many),
         ("checkerboard", checkerboard, one),
         ("winding", winding, one),
     ] {
         let mask = RestMask {
-            mask: Arc::new(Mask::new(side, side, picture, &|| false).unwrap()),
+            mask: Arc::new(Mask::new(7000, 7000, picture, &|| false).unwrap()),
             digest: Digest::of(name.as_bytes()),
         };
         let extent = extent(&mask);
         for &count in counts {
             let at = |k: i32| {
                 (
-                    f64::from(k % 100) * step + 3.5,
-                    f64::from(k / 100) * step + 3.5,
+                    f64::from(k % 100) * 70.0 + 3.5,
+                    f64::from(k / 100) * 70.0 + 3.5,
                 )
             };
             let p = points(&(0..count).map(at).collect::<Vec<_>>());
@@ -515,7 +515,10 @@ fn megapixels_of_noise_are_refused_before_they_are_computed() {
             let new = |after: usize| {
                 asked.store(0, Ordering::Relaxed);
                 let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= after;
-                ResolvedRest::new(&rest, extent, &limits, &cancelled).unwrap_err()
+                // What is resolved would be printed with all of its pixels.
+                ResolvedRest::new(&rest, extent, &limits, &cancelled)
+                    .err()
+                    .expect("it is refused")
             };
             let refused = new(usize::MAX);
             let WarpError::Rest(refused) = refused else {
@@ -525,7 +528,7 @@ fn megapixels_of_noise_are_refused_before_they_are_computed() {
             let is_large = matches!(refused, DeformError::MaskTooLarge { .. });
             assert!(is_large || is_winding && count == 1, "{name}: {refused:?}");
             let looks = asked.load(Ordering::Relaxed);
-            assert!(looks >= side as usize, "{name} {count}: {looks}");
+            assert!(looks >= 7000, "{name} {count}: {looks}");
             assert_eq!(new(looks / 3), WarpError::Cancelled, "{name} {count}");
             assert_eq!(
                 asked.load(Ordering::Relaxed),
