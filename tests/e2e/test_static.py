@@ -31,6 +31,35 @@ BMP_OF_A_GIGAPIXEL = b"BM" + struct.pack(
     "<IIIIiiHHIIiiII", 54, 0, 54, 40, 32768, 32768, 1, 24, 0, 0, 0, 0, 0, 0
 )
 
+# Opens a session twice, replaces its handles twice at once, deletes it: the plans held each time.
+PLANS_HELD = """async (image) => {
+    const from = (path) => import(new URL(path, document.baseURI));
+    const { answer } = await from("page/static/engine.js");
+    const { prototype } = (await from("engine/worker-engine.js")).WorkerEngine;
+    const [held, { plan: make }] = [new Set(), prototype];
+    prototype.plan = async function (...given) {
+        const plan = await make.apply(this, given);
+        const free = plan.dispose;
+        plan.dispose = () => held.delete(plan) && free.call(plan);
+        held.add(plan);
+        return plan;
+    };
+    const rest = { p: [[100, 100]], output: {} };
+    const form = new FormData();
+    form.set("image", await (await fetch(image)).blob());
+    form.set("warp", new Blob([JSON.stringify(rest)]));
+    const request = async (method, path, body) => {
+        const { ok } = await answer(`/sessions/twice${path}`, { method, body });
+        return ok ? held.size : method;
+    };
+    const replace = () => request("PUT", "/handles", JSON.stringify(rest));
+    const counts = [await request("PUT", "", form), await request("PUT", "", form)];
+    await Promise.all([replace(), replace()]);
+    counts.push(held.size, await request("DELETE", ""));
+    prototype.plan = make;
+    return counts;
+}"""
+
 
 class Files(SimpleHTTPRequestHandler):
     """Files alone, and what was asked for."""
@@ -175,3 +204,6 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
     page.body("[data-problem=too_large]")
     assert "limit" in page.text("problem") and "operator" not in page.text("problem")
     assert page["state"] == "ready" and page.posed(0) == posed
+
+    # Each plan that is replaced is freed.
+    assert page.page.evaluate(PLANS_HELD, "page/cat.jpg") == [1, 1, 1, 0]
