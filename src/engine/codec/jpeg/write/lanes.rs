@@ -1,6 +1,7 @@
 //! The operations of an instruction set that a strip needs.
 
 use super::coder::{BlockPlace, Blocks, CoefficientCodes, Predictors, QuantisedBlock, ScanWriter};
+use super::tables::{BLOCK, SIDE};
 
 /// Most lanes of a level.
 pub(super) const MOST_LANES: usize = 32;
@@ -49,6 +50,9 @@ pub(super) trait I16Lanes: Copy {
     fn transpose(rows: [Self; 8]) -> [Self; 8];
     /// Stores `COUNT / 8` transposed blocks in zigzag order, and sets `nonzero` and `is_near`.
     fn store(columns: [Self; 8], blocks: &mut [QuantisedBlock]);
+    /// Blocks of samples to quantised coefficients, by `strip`. Its caller is compiled for each
+    /// number of channels.
+    fn coefficients(rows: &[Self; 8], quantiser: &Quantiser, blocks: &mut [QuantisedBlock]);
     /// [`ScanWriter::put_group`], compiled for the level.
     fn code(
         bits: &mut ScanWriter,
@@ -58,4 +62,33 @@ pub(super) trait I16Lanes: Copy {
         last: &mut Predictors,
         out: &mut Vec<u8>,
     );
+}
+
+/// Divides coefficients by their steps: for each column of a block, two factors of
+/// [`I16Lanes::times`] in units of 2^-15. The reciprocal of a large step alone would have too few
+/// bits, so it is a factor of 1/2 to 1 and a power of two.
+#[derive(Debug)]
+pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
+
+impl Quantiser {
+    /// `steps` in rows; blocks are transposed when they are quantised.
+    pub(super) fn new(steps: &[u8; BLOCK]) -> Self {
+        Self(std::array::from_fn(|x| {
+            let factors = |lane: usize| {
+                // Coefficients have the unit 1/32. The first factor is 1/2 to 1.
+                let step = 32 * u32::from(steps[lane % SIDE * SIDE + x]);
+                let bits = step.ilog2() - u32::from(step.is_power_of_two());
+                let first = ((1 << (15 + bits)) + step / 2) / step;
+                [first, 1 << (15 - bits)].map(|factor| i16::try_from(factor).expect("less than 1"))
+            };
+            [0, 1].map(|k| std::array::from_fn(|lane| factors(lane)[k]))
+        }))
+    }
+
+    #[inline(always)]
+    pub(super) fn divide<T: I16Lanes>(&self, rows: &mut [T; SIDE]) {
+        for (row, [first, second]) in rows.iter_mut().zip(&self.0) {
+            *row = row.times(T::load(first)).times(T::load(second));
+        }
+    }
 }

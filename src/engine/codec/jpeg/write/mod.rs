@@ -23,7 +23,8 @@ use std::ops::Range;
 use std::sync::{Arc, LazyLock};
 
 use self::coder::{BLOCK_BYTES, CoefficientCodes};
-use self::strip::{Components, Job, Quantiser};
+use self::lanes::Quantiser;
+use self::strip::{Components, Job};
 use self::tables::BLOCK;
 use crate::codec::{Carried, PixelLayout, Subsampling};
 use crate::level::SimdLevel;

@@ -15,8 +15,8 @@
 use super::coder::{
     BlockPlace, Blocks, CoefficientCodes, MAX_GROUP_BLOCKS, Predictors, QuantisedBlock, ScanWriter,
 };
-use super::lanes::{I16Lanes, MOST_LANES};
-use super::tables::{BLOCK, SIDE};
+use super::lanes::{I16Lanes, MOST_LANES, Quantiser};
+use super::tables::SIDE;
 
 /// Most bytes of a pixel.
 const MOST_CHANNELS: usize = 4;
@@ -82,35 +82,6 @@ impl Components {
             ],
         };
         (0..macroblocks).flat_map(one).map(coded).collect()
-    }
-}
-
-/// Divides coefficients by their steps: for each column of a block, two factors of
-/// [`I16Lanes::times`] in units of 2^-15. The reciprocal of a large step alone would have too few
-/// bits, so it is a factor of 1/2 to 1 and a power of two.
-#[derive(Debug)]
-pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
-
-impl Quantiser {
-    /// `steps` in rows; blocks are transposed when they are quantised.
-    pub(super) fn new(steps: &[u8; BLOCK]) -> Self {
-        Self(std::array::from_fn(|x| {
-            let factors = |lane: usize| {
-                // Coefficients have the unit 1/32. The first factor is 1/2 to 1.
-                let step = 32 * u32::from(steps[lane % SIDE * SIDE + x]);
-                let bits = step.ilog2() - u32::from(step.is_power_of_two());
-                let first = ((1 << (15 + bits)) + step / 2) / step;
-                [first, 1 << (15 - bits)].map(|factor| i16::try_from(factor).expect("less than 1"))
-            };
-            [0, 1].map(|k| std::array::from_fn(|lane| factors(lane)[k]))
-        }))
-    }
-
-    #[inline(always)]
-    fn divide<T: I16Lanes>(&self, rows: &mut [T; SIDE]) {
-        for (row, [first, second]) in rows.iter_mut().zip(&self.0) {
-            *row = row.times(T::load(first)).times(T::load(second));
-        }
     }
 }
 
@@ -257,7 +228,7 @@ pub(super) fn transform<T: I16Lanes, const CHANNELS: usize>(
     }
     let (blocks, _) = blocks.as_chunks_mut::<MAX_PLANE_BLOCKS>();
     for ((rows, quantiser), blocks) in planes.iter().zip(job.components.quantisers()).zip(blocks) {
-        coefficients(*rows, &job.quantisers[*quantiser], blocks);
+        T::coefficients(rows, &job.quantisers[*quantiser], blocks);
     }
 }
 
@@ -389,7 +360,11 @@ fn chroma<T: I16Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
 
 /// Blocks of samples to quantised coefficients.
 #[inline(always)]
-fn coefficients<T: I16Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [QuantisedBlock]) {
+pub(super) fn coefficients<T: I16Lanes>(
+    rows: Plane<T>,
+    quantiser: &Quantiser,
+    blocks: &mut [QuantisedBlock],
+) {
     let mut rows = cosines(rows);
     for row in &mut rows {
         *row = row.shift_rounded::<2>();

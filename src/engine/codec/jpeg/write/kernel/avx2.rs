@@ -6,7 +6,7 @@ use super::x86::lanes;
 use crate::codec::jpeg::write::coder::{
     BlockPlace, Blocks, CoefficientCodes, Predictors, QuantisedBlock, ScanWriter,
 };
-use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
+use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES, Quantiser};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 

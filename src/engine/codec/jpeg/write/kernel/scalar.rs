@@ -3,7 +3,8 @@
 use crate::codec::jpeg::write::coder::{
     BlockPlace, Blocks, CoefficientCodes, NEAR_VALUES, Predictors, QuantisedBlock, ScanWriter,
 };
-use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
+use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES, Quantiser};
+use crate::codec::jpeg::write::strip;
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
@@ -134,6 +135,12 @@ impl I16Lanes for Scalar {
             }
         }
         columns
+    }
+
+    /// Without registers of 16 lanes it is long: programs for the web have it once.
+    #[inline(never)]
+    fn coefficients(rows: &[Self; 8], quantiser: &Quantiser, blocks: &mut [QuantisedBlock]) {
+        strip::coefficients(*rows, quantiser, blocks);
     }
 
     #[inline(never)]

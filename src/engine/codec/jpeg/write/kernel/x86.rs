@@ -29,6 +29,15 @@ macro_rules! lanes {
             }
 
             #[inline(always)]
+            fn coefficients(
+                rows: &[Self; 8],
+                quantiser: &Quantiser,
+                blocks: &mut [QuantisedBlock],
+            ) {
+                strip::coefficients(*rows, quantiser, blocks);
+            }
+
+            #[inline(always)]
             fn plus(self, other: Self) -> Self {
                 Self(unsafe { $add(self.0, other.0) })
             }
