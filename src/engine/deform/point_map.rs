@@ -1,7 +1,7 @@
 //! What a method must be able to do, and may do better than others. A method is one file below
 //! `methods`; everybody else asks it through these traits and never which one it is.
 
-use std::fmt::Debug;
+use std::fmt;
 use std::sync::Arc;
 
 use super::columns::{HandleElements, Rank};
@@ -118,7 +118,7 @@ pub(super) trait DisplacementsOf<const N: usize> {
 
 /// f of one pose, for positions that are used once.
 pub(super) trait PosedWithoutCoefficients:
-    DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync
+    DisplacementsOf<1> + DisplacementsOf<LANES> + Send + Sync
 {
     /// `f(v) - v`, px, and |m| (rigid), else 1, of every position, in the precision of a table and
     /// in parallel. The outer `None`: cancelled; the inner: not faster than block after block.
@@ -132,9 +132,7 @@ pub(super) trait PosedWithoutCoefficients:
 }
 
 /// A map whose value is known at any position.
-pub(super) trait PointMap:
-    CoefficientsOf<1> + CoefficientsOf<LANES> + Debug + Send + Sync
-{
+pub(super) trait PointMap: CoefficientsOf<1> + CoefficientsOf<LANES> + Send + Sync {
     /// See [`Identity`].
     fn identity(&self, form: CoefficientForm) -> Identity;
 
@@ -216,5 +214,19 @@ pub(super) trait PointMap:
         _cancelled: IsCancelled<'_>,
     ) -> Option<Option<Vec<Vec2>>> {
         Some(None)
+    }
+}
+
+// `Debug` as a bound of the traits would bring the text of every field of every method into each
+// program that draws.
+impl fmt::Debug for dyn PointMap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PointMap")
+    }
+}
+
+impl fmt::Debug for dyn PosedWithoutCoefficients + '_ {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PosedWithoutCoefficients")
     }
 }
