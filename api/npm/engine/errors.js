@@ -28,7 +28,7 @@ export class MlswarpError extends Error {
 export class EngineCrashed extends Error {
   /**
    * @param {string} text what the engine has said
-   * @param {unknown} [cause]
+   * @param {unknown} [cause] the trap, or its stack in a worker: it says where the file ended
    */
   constructor(text, cause) {
     super(text, { cause });

@@ -11,6 +11,7 @@ import { EngineCrashed, MlswarpError } from "./errors.js";
 /**
  * @typedef {{
  *   id: number, result?: any, problem?: Record<string, unknown>, text?: string, isCrash?: boolean,
+ *   stack?: string,
  * }} Answer
  */
 /** @typedef {{ signal?: AbortSignal }} Abortable */
@@ -76,11 +77,11 @@ class Calls {
   }
 
   /** @param {Answer} answer */
-  #answered({ result, problem, text = "", isCrash }) {
+  #answered({ result, problem, text = "", isCrash, stack }) {
     const current = this.#current;
     this.#current = null;
     if (problem) current?.reject(new MlswarpError(problem));
-    else if (isCrash) current?.reject(new EngineCrashed(text));
+    else if (isCrash) current?.reject(new EngineCrashed(text, stack));
     else if (text) current?.reject(new TypeError(text));
     else current?.resolve(result);
     this.#next();

@@ -53,6 +53,7 @@ scope.onmessage = async (/** @type {MessageEvent<Call>} */ { data }) => {
     const answer = { id, text: error instanceof Error ? error.message : String(error) };
     if (error instanceof MlswarpError) answer.problem = error.problem;
     answer.isCrash = error instanceof EngineCrashed;
+    if (error instanceof Error && error.cause instanceof Error) answer.stack = error.cause.stack;
     scope.postMessage(answer, []);
   }
 };

@@ -15,7 +15,6 @@ mod file;
 mod objects;
 mod subject;
 
-use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
 use mlswarp::warp::{Image, LabelImage, MapDirection};
@@ -36,7 +35,14 @@ pub extern "C" fn abi_version() -> u32 {
     std::panic::set_hook(Box::new(|panic| {
         if let Ok(mut text) = PANIC.lock() {
             text.clear();
-            let _ = write!(text, "{panic}");
+            // A release does not say where it was: the trap's stack does.
+            let said = panic.payload();
+            let literal = said.downcast_ref::<&str>().copied();
+            text.push_str(
+                literal
+                    .or_else(|| said.downcast_ref().map(String::as_str))
+                    .unwrap_or("a panic"),
+            );
         }
     }));
     ABI_VERSION
