@@ -442,7 +442,7 @@ export class BlendDialog {
     } catch (error) {
       const { code } = api.asProblem(error);
       if (code !== "no_such_session" && code !== "session_expired") throw error;
-      // The server forgets pictures that nobody uses: this page has the files.
+      // The server forgets pictures that are not in use: this page has the files.
       this.#items.forEach((item) => (item.session = null));
       this.#shown = "";
       setTimeout(() => this.#upload());

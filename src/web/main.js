@@ -478,7 +478,7 @@ async function takeKey(key, remember) {
   const isOther = useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  // The other key may be of somebody else, even if the server refuses it by now.
+  // The other key may belong to another person, even if the server refuses it by now.
   const forgot = isOther && (await opener.forgetAnnotations());
   /** @type {(words: string) => void} */
   const tell = (words) =>

@@ -431,7 +431,7 @@ export class Opener {
         signal,
       );
     }
-    // What an outline separates stays apart, unless somebody has chosen otherwise.
+    // What an outline separates stays apart, unless another choice was made.
     const isUsual = document.metric === undefined && !document.handles.length;
     if (isCutout && isUsual && does.outlines) document = { ...document, metric: "geodesic" };
     const left = this.current;

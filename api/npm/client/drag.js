@@ -306,7 +306,7 @@ export class Drag extends EventTarget {
         new ConnectionFailed("closed", `the server has closed the drag: ${reason}`),
       );
     this.#become(this.#state === "connecting" ? "connecting" : "reconnecting");
-    // A socket that does not open tells nobody why; nor does one that ends with its session.
+    // A socket that does not open gives no reason; nor does one that ends with its session.
     if ((!wasOpen || code === ENDED) && !(await this.#isThere())) return;
     if (isExpired) this.#connect();
     else this.#again();

@@ -52,7 +52,7 @@ class Calls {
       signal?.addEventListener(
         "abort",
         () => {
-          // What is under way is computed to its end; nobody hears of it.
+          // What is under way is computed to its end, and its result is dropped.
           this.#waiting = this.#waiting.filter((other) => other !== waiting);
           reject(signal.reason);
         },

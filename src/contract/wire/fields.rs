@@ -275,7 +275,7 @@ pub const OUTSIDE: [&str; 1] = ["value"];
 /// The fields of a box as `canvas`.
 pub const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
 
-/// The names without those that nobody needs to send.
+/// The names without those that need not be sent.
 pub fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
     let is_useful = |name: &&str| !OF_LANDMARKS.contains(name);
     // Objects of a format, such as `output`, have a field of that name too.

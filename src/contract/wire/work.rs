@@ -27,7 +27,7 @@ impl std::fmt::Debug for Work<'_> {
 }
 
 impl<'c> Work<'c> {
-    /// `is_cancelled` is true when nobody wants the result any more.
+    /// `is_cancelled` is true when the result is no longer wanted.
     pub(crate) fn new(is_cancelled: &'c dyn Fn() -> bool) -> Self {
         let (bytes, asked, is_stopped) = (Cell::new(0), Cell::new(0), Cell::new(false));
         Self {

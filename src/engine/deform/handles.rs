@@ -20,7 +20,7 @@ pub enum Handle {
     Point(Point),
     /// A segment (two positions) or polyline (more): its consecutive segments.
     Polyline(Vec<Point>),
-    /// A handle without a position, such as a landmark that nobody could see. It is left out and
+    /// A handle without a position, such as a landmark that is hidden. It is left out and
     /// keeps its index.
     Missing,
 }

@@ -69,7 +69,7 @@ const fn set_bytes(side: u32) -> u64 {
     8 * (side as u64 * side as u64).div_ceil(64)
 }
 
-/// Work after which somebody is asked whether it is still needed, in pixels and words.
+/// Work after which cancellation is asked for, in pixels and words.
 const PIXELS_PER_CHECK: usize = 1 << 15;
 
 /// Counts work between two looks at whether it is still needed.

@@ -58,7 +58,7 @@ pub(super) const STRAY: u8 = 251;
 pub(super) const UNATTACHED: u32 = u32::MAX;
 /// The neighbours to the right, left, below, above.
 pub(super) const AROUND: [(isize, isize); 4] = [(1, 0), (-1, 0), (0, 1), (0, -1)];
-/// Pixels after which somebody is asked whether the work is still needed.
+/// Pixels after which cancellation is asked for.
 pub(super) const PIXELS_PER_CHECK: usize = 1 << 16;
 
 impl Mask {

@@ -56,7 +56,7 @@ pub(crate) async fn of_session(
 ) -> Result<PlanFile, Problem> {
     let record = app.sessions.peek(id).await?.record;
     let etag = etag(app, client, &record, query).await?;
-    // Nobody has the tag of a table that is refused.
+    // No client has the tag of a table that is refused.
     if is_known(&etag) {
         return Ok(PlanFile {
             etag,

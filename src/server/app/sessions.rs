@@ -321,7 +321,7 @@ mod tests {
     use crate::problem::Code;
     use crate::store::{Session, Store, StoreFuture, StoreStats};
 
-    /// A store on which somebody else is always faster.
+    /// A store on which another client is always faster.
     #[derive(Debug)]
     struct Contended(Arc<dyn Store>, AtomicUsize);
 
@@ -438,7 +438,7 @@ mod tests {
         };
         let (shown, _) = open().await.unwrap();
         let record = &shown.session.record;
-        // Somebody draws from them, and everything else is taken.
+        // A request draws from them, and all other memory is taken.
         let setup = app.plans.setup_of(client, record).await.unwrap();
         let _used = (
             app.images

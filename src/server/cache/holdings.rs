@@ -1,5 +1,5 @@
 //! The values of a cache with the clients that hold them, and which value makes room for another
-//! one. One client cannot empty the cache of the others: a value that nobody has used for a while
+//! one. One client cannot empty the cache of the others: a value that has not been used for a while
 //! goes first, and after those one of the client that holds the most.
 //!
 //! Times are arguments; there is no clock here.

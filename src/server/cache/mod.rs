@@ -67,7 +67,7 @@ impl<V> Deref for CacheEntry<V> {
     }
 }
 
-/// Frees a value that has left a cache, unless somebody uses it.
+/// Frees a value that has left a cache, unless it is in use.
 fn free_entry<V: Send + Sync + 'static>(entry: Arc<CacheEntry<V>>) {
     let bytes = entry.bytes();
     free(entry, bytes);
@@ -241,7 +241,7 @@ pub trait AnyCache: std::fmt::Debug + Send + Sync {
     /// Whether [`AnyCache::evict_idle`] would find a value.
     fn is_any_idle(&self) -> bool;
 
-    /// Evicts a value that nobody uses now. `false`: all are in use.
+    /// Evicts a value that is not in use. `false`: all are in use.
     fn evict_idle(&self) -> bool;
 
     /// Removes all values.
@@ -281,7 +281,7 @@ impl<V: std::fmt::Debug + Send + Sync + 'static> AnyCache for Cache<V> {
 }
 
 impl<V: Send + Sync + 'static> Cache<V> {
-    /// Removes the value, and frees it when nobody uses it any more.
+    /// Removes the value, and frees it when it is no longer in use.
     pub fn drop_value(&self, key: CacheKey) {
         self.remove(key).into_iter().for_each(free_entry);
     }

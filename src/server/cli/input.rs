@@ -191,7 +191,7 @@ impl LandmarkInput {
         let Choice { matching, item } = Choice::of_warp(warp)?;
         files.choice.matching = files.choice.matching.or(matching);
         files.choice.item = files.choice.item.or(item);
-        // Nobody shares this machine's memory with other clients.
+        // There are no other clients that share this machine's memory.
         let landmarks = Reserved::of_files(&files, config.limits().columns, &|| false, |_| Ok(()));
         let (landmarks, ()) = landmarks
             .map_err(|problem| self.blame(problem))?

@@ -289,7 +289,7 @@ mod tests {
         ] {
             assert!(serve(&["--listen", loopback]).is_ok(), "{loopback}");
         }
-        // Keys with a mistake admit nobody, and only the mistake is reported.
+        // Keys with a mistake admit no client, and only the mistake is reported.
         let refused = serve(&["--listen", "0.0.0.0:80", "--keys", "ann short"]).unwrap_err();
         assert!(
             refused.contains("--keys (MLSWARP_KEYS): line 1") && !refused.contains("--listen"),

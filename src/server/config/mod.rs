@@ -182,7 +182,7 @@ impl Config {
             ..
         } = *self;
         let mut offline = Self::default();
-        // Nobody waits for a response.
+        // No client waits for a response.
         offline.timeouts.request = std::time::Duration::from_secs(u64::from(u32::MAX));
         offline.clients.client_share = ClientShare::ALL;
         Self {

@@ -65,7 +65,7 @@ pub(super) fn suggest_effective(mut error: Error, flags: &[String]) -> Error {
         .to_owned();
     let meant = nearest(&name, flags.iter().map(String::as_str))
         .map(|flag| ContextValue::String(format!("--{flag}")));
-    // How to pass a word that begins with `--` as a value: nobody means that.
+    // How to pass a word that begins with `--` as a value: that is not meant.
     error.remove(ContextKind::Suggested);
     error.remove(ContextKind::SuggestedArg);
     if let Some(meant) = meant {

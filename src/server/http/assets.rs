@@ -208,7 +208,7 @@ mod tests {
         for name in imported.iter().chain(&linked) {
             assert!(ASSETS.iter().any(|(known, _)| known == name), "{name}");
         }
-        // And nothing is there that nobody asks for.
+        // And every file that is there is asked for.
         for (name, _) in ASSETS.iter() {
             assert!(imported.contains(name) || linked.contains(name), "{name}");
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether all keys belong to one name: then nobody is there whom a share would protect. Keys may
+/// Whether all keys belong to one name: then there is no other client that a share would protect. Keys may
 /// change while the server runs.
 #[derive(Clone, Debug, Default)]
 pub struct SoleClient(Arc<AtomicBool>);

@@ -66,7 +66,7 @@ mod tests {
     fn the_returner_is_woken_when_use_and_freed_memory_are_above_the_budget() {
         const TOTAL: u64 = 100 << 20;
         let freed = Arc::new(Freed::new());
-        // Nobody is there to be woken.
+        // No task waits.
         freed.add(1 << 40);
         freed.wake_if_too_much(TOTAL, TOTAL);
         freed.forget();

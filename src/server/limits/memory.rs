@@ -454,7 +454,7 @@ mod tests {
         let strip = answer.split(120).attach(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
-        // What the account refuses is nobody's.
+        // What the account refuses belongs to no client.
         assert_eq!(
             budget
                 .take_for(MemoryClass::Frame, &other, 750)

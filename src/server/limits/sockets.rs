@@ -103,7 +103,7 @@ impl SocketSlots {
 
     /// With limits for each visitor: its sockets, and its frames in the pool.
     pub(crate) fn with_visitors(self, sockets: u64, frames: u64) -> Self {
-        let slots = Arc::into_inner(self.0).expect("nobody else has it yet");
+        let slots = Arc::into_inner(self.0).expect("it is not shared yet");
         let whole = |number: u64| usize::try_from(number).unwrap_or(usize::MAX);
         Self(Arc::new(SlotState {
             max_per_visitor: whole(sockets),

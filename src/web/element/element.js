@@ -14,7 +14,7 @@ import { fits, handlesOf, placesIn, settingsOf } from "./wire.js";
 /** @typedef {import("./wire.js").GivenWarp} GivenWarp */
 /** @typedef {Blob | ImageBitmap | ImageData | string | URL | null} GivenImage */
 
-/** Without a DOM there is a class too, which nobody can construct. */
+/** Without a DOM there is a class too, which cannot be constructed. */
 const Base = /** @type {typeof HTMLElement} */ (globalThis.HTMLElement ?? class {});
 /** Properties that may be set before the class is there. */
 const PROPERTIES = /** @type {const} */ ([

@@ -49,7 +49,7 @@ class _InvalidTrait(InvalidWarp, traitlets.TraitError):
 
 
 class _Handles(traitlets.TraitType[tuple[Any, ...], Handles]):
-    """Handles as tuples: a list that is changed in place would tell nobody."""
+    """Handles as tuples: a list that is changed in place sends no event."""
 
     default_value = ()
 

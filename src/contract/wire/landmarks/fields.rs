@@ -48,7 +48,7 @@ struct UnmatchedMembers<'a> {
 }
 
 impl LandmarkFiles {
-    /// Reads the files. `cancelled` is true when nobody wants the result any more.
+    /// Reads the files. `cancelled` is true when the result is no longer wanted.
     /// Errors: As [`Self::read`]; other files than the target has.
     pub fn read_for(
         &self,

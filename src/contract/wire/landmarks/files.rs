@@ -175,7 +175,7 @@ impl LandmarkFiles {
         bytes.sum::<usize>() as u64
     }
 
-    /// Reads the files. `cancelled` is true when nobody wants the result any more. Errors:
+    /// Reads the files. `cancelled` is true when the result is no longer wanted. Errors:
     /// `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or
     /// cancelled.
     pub fn read(

@@ -93,7 +93,7 @@ fn shape(handle: &Handle) -> String {
     }
 }
 
-/// Whether every name is the position of its landmark, as ImageJ names what nobody has named:
+/// Whether every name is the position of its landmark, as ImageJ names landmarks without a name:
 /// `0045-0030` is y 45, x 30, after the slice of a stack, and in its tables after the title of the
 /// image (`ij/plugin/frame/RoiManager.java`, `getLabel`).
 fn has_positions_as_names(file: &LandmarkFile) -> bool {

@@ -108,7 +108,7 @@ pub(super) fn written(warp: &WarpObject) -> Value {
     let fields = object.as_object_mut().unwrap();
     let own = serde_json::to_value(AsJson(*own)).unwrap();
     fields.extend(own.as_object().unwrap().clone());
-    // Nobody needs to send the default, so it is not described.
+    // The default need not be sent, so it is not described.
     if *metric != Metric::default() {
         fields.insert("metric".to_owned(), json!(AsJson(*metric)));
     }

@@ -1,5 +1,5 @@
 //! The methods: one file or folder for each, and one row in [`METHODS`]. A row says what everybody
-//! else must know of a method; nobody else asks which one it is. CONTRIBUTING.md says how to add
+//! else must know of a method; no other code asks which one it is. CONTRIBUTING.md says how to add
 //! one.
 
 pub(super) mod arap;

@@ -286,7 +286,7 @@ impl ImageSum {
         for (value, out) in [r, g, b].into_iter().zip(out.iter_mut()) {
             let value = encoded(self.space, value * share) * largest;
             let rounded = value.round().clamp(0.0, largest);
-            // A pixel that nobody sees loses nothing.
+            // A pixel that is not visible loses nothing.
             lost += u64::from(alpha > 0.0 && (value.round() - rounded).abs() > 0.5);
             *out = to_sample(rounded);
         }

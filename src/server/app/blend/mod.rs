@@ -246,7 +246,7 @@ impl BlendJob {
             .plans
             .plan(client, &ticket, &setup, Timing::default())
             .await?;
-        // Later frames need it again, and nobody else did.
+        // Later frames need it again, and no other client does.
         if planned.is_built {
             app.plans.demote(client.owner, &setup);
         }

@@ -160,7 +160,7 @@ impl ClientSessions {
 
     /// With a limit on the bytes that one visitor stores.
     pub fn with_visitors(self, bytes: u64) -> Self {
-        let shared = Arc::into_inner(self.0).expect("nobody else has it yet");
+        let shared = Arc::into_inner(self.0).expect("it is not shared yet");
         Self(Arc::new(Shared {
             max_visitor_bytes: bytes,
             ..shared

@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn closing_what_is_damaged_fails_nobody() {
+    fn closing_what_is_damaged_ends_no_thread() {
         let closed = Arc::<AtomicU64>::default();
         let held = OpenDatabase::new(Damaged(Arc::clone(&closed)));
         let another = Arc::clone(&held);
@@ -452,7 +452,7 @@ mod tests {
         assert_eq!(closed.load(Ordering::Relaxed), 0);
         drop(another);
         assert_eq!(closed.load(Ordering::Relaxed), 1);
-        // Nor somebody who fails at that moment: two panics at once would end the program.
+        // Nor does it panic in a thread that panics already: two panics end the program.
         let held = OpenDatabase::new(Damaged(Arc::clone(&closed)));
         let failed = catch_unwind(AssertUnwindSafe(|| {
             let _held = held;

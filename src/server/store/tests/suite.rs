@@ -585,7 +585,7 @@ async fn a_file_counts_once_for_each_owner(store: &impl Store) {
         .unwrap();
     let before = store.figures().bytes;
     let mut told = Vec::new();
-    // Our picture, our layer, and a file that is nobody's.
+    // Our picture, our layer, and a file that belongs to no session.
     for picture in [1, 2, 3] {
         let one = theirs(picture);
         store.put(Arc::clone(&one), files(picture)).await.unwrap();

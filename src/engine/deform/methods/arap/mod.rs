@@ -245,7 +245,7 @@ impl MeshSolver for PosableMesh {
 
 impl<const N: usize> CoefficientsOf<N> for AsRigidAsPossible {
     fn coefficients(&self, _: &RestSet, _: &Vertices<N>, _: bool, workspace: &mut Workspace<N>) {
-        // Nobody asks: positions are posed without coefficients.
+        // Not asked for: positions are posed without coefficients.
         workspace.rows.clear();
     }
 }
