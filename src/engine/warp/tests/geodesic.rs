@@ -516,9 +516,11 @@ fn fifty_megapixels_of_noise_are_refused_before_they_are_computed() {
                 asked.store(0, Ordering::Relaxed);
                 let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= after;
                 // What is resolved would be printed with all of its pixels.
-                ResolvedRest::new(&rest, extent, &limits, &cancelled)
-                    .err()
-                    .expect("it is refused")
+                let resolved = ResolvedRest::new(&rest, extent, &limits, &cancelled);
+                let Err(refused) = resolved else {
+                    panic!("it is refused");
+                };
+                refused
             };
             let refused = new(usize::MAX);
             let WarpError::Rest(refused) = refused else {
