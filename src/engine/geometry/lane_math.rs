@@ -42,10 +42,34 @@ pub(crate) fn ln(x: f64) -> f64 {
     (log + tail) * std::f64::consts::LN_2
 }
 
-/// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger
-/// of the result and 1.
+/// [`ln`] in less than half the time, to 2^-50 relative to the larger of it and 1.
 #[inline(always)]
-fn log2(x: f64) -> (f64, f64) {
+pub(crate) fn quick_ln(x: f64) -> f64 {
+    const LN_1_5: f64 = 0.405_465_108_108_164_4;
+    let (a, n, is_middle) = reduced(x);
+    let (beside, log) = if is_middle { (1.5, LN_1_5) } else { (1.0, 0.0) };
+    let s = (a - beside) / (a + beside);
+    let s2 = s * s;
+    ((2.0 / 3.0) * (s * (3.0 + s2 + log_series(s2))) + log) + n * std::f64::consts::LN_2
+}
+
+/// `x = 2^n a`, where a differs from 1, or from 1.5 if it is in the middle, by a factor of less
+/// than sqrt(1.5).
+#[inline(always)]
+fn reduced(x: f64) -> (f64, f64, bool) {
+    let bits = x.to_bits();
+    let mantissa = f64::from_bits(bits & MANTISSA_BITS | BITS_OF_ONE);
+    let exponent = f64::from_bits(bits >> 52 | TWO_52.to_bits()) - (TWO_52 + 1023.0);
+    let high = mantissa >= 1.732_050_807_568_877_2;
+    let middle = mantissa >= 1.224_744_871_391_589 && !high;
+    let a = if high { 0.5 * mantissa } else { mantissa };
+    let n = if high { exponent + 1.0 } else { exponent };
+    (a, n, middle)
+}
+
+/// Of `3/2 ln((1 + s) / (1 - s)) = 3 s + s^3 + ...` what follows, divided by s.
+#[inline(always)]
+fn log_series(s2: f64) -> f64 {
     const L: [f64; 6] = [
         0.599_999_999_999_994_6,
         0.428_571_428_578_550_2,
@@ -54,6 +78,13 @@ fn log2(x: f64) -> (f64, f64) {
         0.230_660_745_775_561_75,
         0.206_975_017_800_338_42,
     ];
+    s2 * s2 * (L[0] + s2 * (L[1] + s2 * (L[2] + s2 * (L[3] + s2 * (L[4] + s2 * L[5])))))
+}
+
+/// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger
+/// of the result and 1.
+#[inline(always)]
+fn log2(x: f64) -> (f64, f64) {
     /// 2 / (3 ln 2), and its two parts.
     const CP: f64 = 0.961_796_693_925_975_6;
     const CP_UPPER: f64 = 0.961_796_700_954_437_3;
@@ -62,14 +93,7 @@ fn log2(x: f64) -> (f64, f64) {
     const LOG_UPPER: f64 = 0.584_962_487_220_764_2;
     const LOG_REST: f64 = 1.350_039_202_129_749e-8;
 
-    let bits = x.to_bits();
-    let mantissa = f64::from_bits(bits & MANTISSA_BITS | BITS_OF_ONE);
-    let exponent = f64::from_bits(bits >> 52 | TWO_52.to_bits()) - (TWO_52 + 1023.0);
-    // x = 2^n a, where a differs from 1 or 1.5 by a factor of less than sqrt(1.5).
-    let high = mantissa >= 1.732_050_807_568_877_2;
-    let middle = mantissa >= 1.224_744_871_391_589 && !high;
-    let a = if high { 0.5 * mantissa } else { mantissa };
-    let n = if high { exponent + 1.0 } else { exponent };
+    let (a, n, middle) = reduced(x);
     let beside = if middle { 1.5 } else { 1.0 };
     let log_upper = if middle { LOG_UPPER } else { 0.0 };
     let log_rest = if middle { LOG_REST } else { 0.0 };
@@ -85,9 +109,7 @@ fn log2(x: f64) -> (f64, f64) {
 
     // 3/2 ln(a / beside) = 3 s + s^3 + ...
     let s2 = s * s;
-    let series =
-        s2 * s2 * (L[0] + s2 * (L[1] + s2 * (L[2] + s2 * (L[3] + s2 * (L[4] + s2 * L[5])))));
-    let series = series + s_rest * (s_upper + s);
+    let series = log_series(s2) + s_rest * (s_upper + s);
     let s2 = s_upper * s_upper;
     let t_upper = upper(3.0 + s2 + series);
     let t_rest = series - ((t_upper - 3.0) - s2);
@@ -257,14 +279,15 @@ mod tests {
     fn ln_is_that_of_the_library() {
         for k in -3000..3000 {
             let x = 1.1f64.powi(k) * (1.0 + 1e-3 * f64::from(k % 7));
-            assert!(
-                (ln(x) - x.ln()).abs() <= 3e-16 * x.ln().abs().max(1.0),
-                "{x:e}: {:e}, {:e}",
-                ln(x),
-                x.ln()
-            );
+            for (log, off) in [(ln(x), 3e-16), (quick_ln(x), 9e-16)] {
+                assert!(
+                    (log - x.ln()).abs() <= off * x.ln().abs().max(1.0),
+                    "{x:e}: {log:e}, {:e}",
+                    x.ln()
+                );
+            }
         }
-        assert_eq!(ln(1.0), 0.0);
+        assert_eq!((ln(1.0), quick_ln(1.0)), (0.0, 0.0));
         assert!(ln(0.0).is_finite() && ln(5e-324).is_finite());
     }
 

@@ -424,6 +424,6 @@ impl<const N: usize> LaneWork for SplineLanes<'_, N> {
 
 /// U of a squared distance.
 #[inline(always)]
-pub(super) fn bending(r2: f64) -> f64 {
+fn bending(r2: f64) -> f64 {
     r2 * ln(r2)
 }
