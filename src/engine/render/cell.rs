@@ -52,11 +52,10 @@ pub(super) fn draw_row(
             if rows == 0 {
                 continue;
             }
-            let corners = lattice.corners(i, j);
             if seen.convex[k] == 0 {
-                draw(kernel, &corners, lattice, rows, raster);
+                draw(kernel, &lattice.corners(i, j), lattice, rows, raster);
             } else {
-                kernel.fill(&Piece::cell(&seen, k, &corners), rows, raster);
+                kernel.fill(&Piece::cell(&seen, k, lattice, (i, j)), rows, raster);
             }
         }
     }

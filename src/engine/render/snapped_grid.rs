@@ -75,7 +75,12 @@ impl SnappedGrid {
 
     /// The corners of a cell: 00, 10, 11, 01.
     pub(super) fn corners(&self, i: usize, j: usize) -> [Corner; 4] {
-        [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)].map(|(i, j)| self.corner(i, j))
+        [
+            self.corner(i, j),
+            self.corner(i + 1, j),
+            self.corner(i + 1, j + 1),
+            self.corner(i, j + 1),
+        ]
     }
 
     /// Range of y of a cell.

@@ -13,9 +13,7 @@
 )]
 
 use super::cells::{CellMap, Near, Piece, Raster, Root, edge_between, first_pixel, side};
-use crate::render::snapped_grid::{
-    BLOCK_COLUMNS, Corner, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid,
-};
+use crate::render::snapped_grid::{BLOCK_COLUMNS, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid};
 
 /// The classification of a block of cells.
 #[derive(Clone, Copy, Debug, Default)]
@@ -151,11 +149,18 @@ pub(super) fn classify(
 }
 
 impl Piece {
-    /// Cell `k` of a classified block; it must be convex there.
+    /// Cell `k` of a classified block, `(i, j)` of the lattice; it must be convex there.
     #[inline(always)]
-    pub(in crate::render) fn cell(seen: &CellBlock, k: usize, corners: &[Corner; 4]) -> Self {
-        let [a, b, c, d] = corners;
-        let (du, dv) = (b.u - a.u, d.v - a.v);
+    pub(in crate::render) fn cell(
+        seen: &CellBlock,
+        k: usize,
+        lattice: &SnappedGrid,
+        (i, j): (usize, usize),
+    ) -> Self {
+        // Not all corners: an array of them would be written to memory in small parts and read in
+        // larger ones, which waits.
+        let a = lattice.corner(i, j);
+        let (du, dv) = (lattice.u[i + 1] - a.u, lattice.v[j + 1] - a.v);
         // Two maps from the position to s and t: a patch that is nearly a parallelogram needs no
         // root. Which one was chosen must not depend on lanes, so `classify` decides for both
         // kernels.
@@ -172,6 +177,7 @@ impl Piece {
                 a.v + 0.5 * dv,
             )
         } else {
+            let [a, b, c, d] = &lattice.corners(i, j);
             let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
             (
                 CellMap::Root(Root::new(
