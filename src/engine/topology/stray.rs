@@ -23,7 +23,8 @@ impl Mask {
                 }
             }
         }
-        if is_any {
+        // Without a pixel inside, there is nothing that it could go with.
+        if is_any && self.inside() > 0 {
             self.find_nearest(false, cancelled)?;
             self.find_nearest(true, cancelled)?;
             self.release_far(cancelled)?;
@@ -37,7 +38,7 @@ impl Mask {
     /// wherever it lies.
     fn find_nearest(&mut self, below: bool, cancelled: &dyn Fn() -> bool) -> Option<()> {
         // The row of each column's pixel inside that was met last.
-        let mut met = vec![u32::MAX; self.width];
+        let (mut met, mut met_last) = (vec![u32::MAX; self.width], None);
         for k in 0..self.height {
             if cancelled() {
                 return None;
@@ -46,7 +47,12 @@ impl Mask {
             for (x, met) in met.iter_mut().enumerate() {
                 if self.is_inside_at(y * self.width + x) {
                     *met = number(y);
+                    met_last = Some(y);
                 }
+            }
+            let is_near = |row: usize| row.abs_diff(y) <= DUST_TO_SUBJECT as usize;
+            if !met_last.is_some_and(is_near) {
+                continue;
             }
             for rim in self.rim_of_row(y) {
                 let (x, own) = (self.rim[rim].x, self.rim[rim].root);
@@ -87,10 +93,25 @@ impl Mask {
     /// A part of stray rim that is far from all pixels inside somewhere is no dust, and goes with
     /// none of them.
     fn release_far(&mut self, cancelled: &dyn Fn() -> bool) -> Option<()> {
+        let is_attached = |y: usize| {
+            let rim = &self.rim[self.rim_of_row(y)];
+            rim.iter().any(|rim| rim.root != UNATTACHED)
+        };
+        let mut rows = Vec::new();
+        for y in 0..self.height {
+            if cancelled() {
+                return None;
+            }
+            rows.push(is_attached(y));
+        }
         let mut far = Vec::new();
         for y in 0..self.height {
             if cancelled() {
                 return None;
+            }
+            // Elsewhere it touches nothing that is attached.
+            if !rows[y.saturating_sub(1)..self.height.min(y + 2)].contains(&true) {
+                continue;
             }
             for rim in self.rim_of_row(y) {
                 if self.rim[rim].root == UNATTACHED {

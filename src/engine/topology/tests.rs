@@ -1,3 +1,4 @@
+use std::cell::Cell;
 use std::sync::Arc;
 
 use serde_json::Value;
@@ -140,6 +141,22 @@ fn stray_rim_is_a_part_of_its_own() {
     let lattice = CutLattice::new(&mask, 3, 100, &|| false).unwrap();
     assert_eq!(lattice.parts(), 2);
     assert!((1..4).all(|x| mask.is_stray(x, 1) && mask.is_stray(x, 3)));
+    // Alone with a pixel inside, above or below it.
+    for (distance, goes_with) in [(16, true), (17, false)] {
+        let mut rows = vec!["0"; distance + 1];
+        (rows[0], rows[distance]) = ("1", "+");
+        assert_eq!(mask_of(&rows).root(0, distance).is_some(), goes_with);
+        rows.reverse();
+        assert_eq!(mask_of(&rows).root(0, 0).is_some(), goes_with);
+    }
+    // Where there is nothing inside, each row is looked at five times, and nothing is searched.
+    let looks = Cell::new(0);
+    let look = || {
+        looks.set(looks.get() + 1);
+        false
+    };
+    let mask = Mask::new(9, 400, |_, row| row.fill(Membership::Rim), &look).unwrap();
+    assert!(mask.is_stray(4, 200) && mask.root(4, 200).is_none() && looks.get() <= 5 * 400);
 }
 
 #[test]
@@ -362,7 +379,7 @@ fn the_work_of_a_lattice_grows_with_its_pixels() {
     let looks_at = |height: u32| {
         let mask = Mask::new(256, height, checkerboard, &|| false).unwrap();
         let (size, sides) = (CutLattice::size(&mask, 64, u64::MAX, &|| false), 64 * 64);
-        let looks = std::cell::Cell::new(0);
+        let looks = Cell::new(0);
         let is_cancelled = || {
             looks.set(looks.get() + 1);
             false
