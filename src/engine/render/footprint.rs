@@ -100,9 +100,25 @@ impl Footprints {
         lattice: &SnappedGrid,
         scale: [f64; 2],
         (width, height): (usize, u32),
+        kernel: Kernel,
     ) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
+        let cell = grid.cell();
+        let units = [
+            f64::from(lattice.u[columns - 1] - lattice.u[0]) / grid.width(),
+            f64::from(lattice.v[rows - 1] - lattice.v[0]) / grid.height(),
+        ];
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "sampler coordinates are f32"
+        )]
+        let scale = scale.map(|scale| units.map(|unit| (unit / scale) as f32));
+        let largest = scale
+            .iter()
+            .flatten()
+            .fold(0.0_f32, |largest, scale| largest.max(*scale));
+        let limit = one_sample_up_to(largest / 128.0);
         let mut marked = vec![0; columns * rows];
         let mut jacobians = vec![[0.0; 4]; columns * rows];
         let mut drawn = DrawnColumns::new(width, height as usize);
@@ -129,12 +145,11 @@ impl Footprints {
                     .zip(&line[1..])
                     .for_each(|(marked, cell)| *marked |= cell);
             }
-            if marked.iter().fold(0, |any, cell| any | cell) == 0 {
+            let is_marked = |cell: &u8| *cell != 0;
+            let Some(first) = marked.iter().position(is_marked) else {
                 continue;
-            }
-            for i in (0..cells).filter(|i| marked[*i] != 0) {
-                drawn.add(lattice.cell_extent(i, j), lattice.cell_range(i, j));
-            }
+            };
+            let end = marked.iter().rposition(is_marked).unwrap_or(first) + 1;
             for j in [j, j + 1]
                 .into_iter()
                 .filter(|j| last == usize::MAX || *j > last)
@@ -147,22 +162,13 @@ impl Footprints {
                 );
             }
             last = j + 1;
+            let line = |j: usize| &jacobians[j * columns..][first..=end];
+            kernel.unmark((line(j), line(j + 1)), limit, &mut marked[first..end]);
+            for i in (first..end).filter(|i| marked[*i] != 0) {
+                drawn.add(lattice.cell_extent(i, j), lattice.cell_range(i, j));
+            }
         }
         drawn.finish();
-        let cell = grid.cell();
-        let units = [
-            f64::from(lattice.u[columns - 1] - lattice.u[0]) / grid.width(),
-            f64::from(lattice.v[rows - 1] - lattice.v[0]) / grid.height(),
-        ];
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "sampler coordinates are f32"
-        )]
-        let scale = scale.map(|scale| units.map(|unit| (unit / scale) as f32));
-        let largest = scale
-            .iter()
-            .flatten()
-            .fold(0.0_f32, |largest, scale| largest.max(*scale));
         #[expect(
             clippy::cast_possible_truncation,
             reason = "sampler coordinates are f32"
@@ -171,10 +177,7 @@ impl Footprints {
             (1.0 / (units[0] * cell.0)) as f32,
             (1.0 / (units[1] * cell.1)) as f32,
         ];
-        let (origin, limit) = (
-            [lattice.u[0], lattice.v[0]],
-            one_sample_up_to(largest / 128.0),
-        );
+        let origin = [lattice.u[0], lattice.v[0]];
         Self {
             grid: FootprintGrid {
                 columns,
@@ -190,13 +193,14 @@ impl Footprints {
         }
     }
 
-    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not
-    /// shrunk. `row` and `column`: of its first pixel; `first`: its index in `out`. Pixels that
-    /// need several samples are complete after [`AveragedSamples::finish`].
+    /// Samples a run of `len` pixels of a row, as [`sampler::sample`] does where the source is not
+    /// shrunk. `row` and `column`: of its first pixel; `u` and `v`: of its pixels and
+    /// [`LANES`] more; `first`: its index in `out`. Pixels that need several samples are complete
+    /// after [`Self::finish`].
     pub(super) fn sample(
         &self,
         sampled: FootprintSource<'_>,
-        (row, column): (u32, usize),
+        (row, column, len): (u32, usize, usize),
         (u, v): (&[f32], &[f32]),
         samples: &mut AveragedSamples,
         (first, out): (usize, &mut [u8]),
@@ -213,36 +217,45 @@ impl Footprints {
             kernel,
             source.level(level),
             filter,
-            u,
-            v,
+            &u[..len],
+            &v[..len],
             channels,
-            &mut out[first * pixel..][..u.len() * pixel],
+            &mut out[first * pixel..][..len * pixel],
         );
         for marked in self.drawn.runs(row as usize) {
-            let at = |column_of: usize| column_of.saturating_sub(column).min(u.len());
+            let at = |column_of: usize| column_of.saturating_sub(column).min(len);
             let (mut start, end) = (at(marked.start), at(marked.end));
             while start < end {
                 let next = end.min(start + GROUP_PIXELS);
                 kernel.footprints(
                     &self.grid,
-                    &u[start..next],
-                    &v[start..next],
+                    (&u[start..], &v[start..]),
+                    next - start,
                     first + start,
                     &mut samples.batch,
                 );
                 start = next;
-                samples.average(BATCH - GROUP_PIXELS + 1, sampled, out);
+                if samples.batch.waiting() >= GROUP_PIXELS {
+                    kernel.shapes(&self.grid, &mut samples.batch);
+                    samples.average(BATCH - GROUP_PIXELS + 1, sampled, out);
+                }
             }
         }
+    }
+
+    /// Completes the pixels that need several samples.
+    pub(super) fn finish(
+        &self,
+        sampled: FootprintSource<'_>,
+        samples: &mut AveragedSamples,
+        out: &mut [u8],
+    ) {
+        sampled.kernel.shapes(&self.grid, &mut samples.batch);
+        samples.average(1, sampled, out);
     }
 }
 
 impl AveragedSamples {
-    /// Averages the samples of all pixels that are waiting.
-    pub(super) fn finish(&mut self, sampled: FootprintSource<'_>, out: &mut [u8]) {
-        self.average(1, sampled, out);
-    }
-
     /// Averages the samples of pixels into those of `out`, wherever at least `least` of a kind are
     /// waiting.
     fn average(&mut self, least: usize, sampled: FootprintSource<'_>, out: &mut [u8]) {

@@ -251,8 +251,9 @@ impl Renderer {
                     kernel,
                 );
                 let size = (window.columns.end, window.rows.end);
-                let footprints = (!shrinking.is_empty())
-                    .then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, size));
+                let footprints = (!shrinking.is_empty()).then(|| {
+                    Footprints::new(mesh, &shrinking, &lattice, placement.scale, size, kernel)
+                });
                 Drawing::new(
                     (lattice, footprints),
                     window,

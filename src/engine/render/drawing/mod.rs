@@ -122,8 +122,8 @@ impl Drawing {
         self.each_line(rows, cancelled, |at, line, scratch| {
             self.paint(sampled, line, scratch, samples.as_mut(), (at * pitch, out))
         });
-        if let Some(samples) = &mut samples {
-            samples.finish(sampled, out);
+        if let (Some(footprints), Some(samples)) = (&self.footprints, &mut samples) {
+            footprints.finish(sampled, samples, out);
         }
     }
 
@@ -489,20 +489,25 @@ impl Drawing {
         }
         for (run, pixels) in scratch.runs.iter().filter_map(drawn) {
             let (u, v) = (
-                &scratch.u[start..][run.clone()],
-                &scratch.v[start..][run.clone()],
+                &scratch.u[start + run.start..],
+                &scratch.v[start + run.start..],
             );
             match (&self.footprints, &mut samples) {
                 (Some(footprints), Some(samples)) => {
                     footprints.sample(
                         sampled,
-                        (row, run.start),
-                        (u, v),
+                        (row, run.start, run.len()),
+                        // Kernels may read behind the row, too.
+                        (
+                            &u[..run.len() + SLACK_PIXELS],
+                            &v[..run.len() + SLACK_PIXELS],
+                        ),
                         samples,
                         (pixels.start, out),
                     );
                 }
                 _ => {
+                    let (u, v) = (&u[..run.len()], &v[..run.len()]);
                     let out = &mut out[pixels.start * pixel..pixels.end * pixel];
                     sampler::sample(kernel, source.level(level), filter, u, v, channels, out);
                 }

@@ -39,8 +39,10 @@ widened! {
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
     shrinks(lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]);
-    footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize,
+    footprints(grid: &FootprintGrid, places: (&[f32], &[f32]), len: usize, first: usize,
         batch: &mut FootprintBatch);
+    shapes(grid: &FootprintGrid, batch: &mut FootprintBatch);
+    unmark(lines: (&[[f32; 4]], &[[f32; 4]]), limit: f32, marked: &mut [u8]);
     positions(alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]);
     classify(lattice: &SnappedGrid, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }

@@ -35,6 +35,10 @@ pub(in crate::render) const KINDS: usize = MAX_FOOTPRINT_SAMPLES.ilog2() as usiz
 /// Pixels that compilers process together: passes are over whole groups, because the rest would be
 /// processed one by one.
 const LANES: usize = 8;
+/// Smaller by more than rounding changes an area, up to [`MOST_STRETCHED`].
+const ONE_SAMPLE_MARGIN: f32 = 0.99;
+/// Squared sides of a cell's Jacobians, added up, from which it keeps its mark.
+const MOST_STRETCHED: f32 = 1600.0;
 
 /// The Jacobians of a mesh that shrinks the source somewhere.
 #[derive(Debug)]
@@ -58,11 +62,42 @@ pub(in crate::render) struct FootprintGrid {
 /// Pixels that need several samples.
 #[derive(Debug, Default)]
 pub(in crate::render) struct FootprintBatch {
+    /// Pixels in marked cells, which are not looked at yet.
+    waiting: Box<Waiting>,
     /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the
     /// image itself, then the others.
     pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
     /// Kept, because zeroing it costs as much as a pass.
     lanes: Box<FootprintArrays>,
+}
+
+impl FootprintBatch {
+    /// The number of pixels that wait for [`shapes`].
+    pub(in crate::render) fn waiting(&self) -> usize {
+        self.waiting.len
+    }
+}
+
+/// Pixels in marked cells, across runs and rows: a run has 18 on average, and passes over so few
+/// mostly consist of their ends.
+#[derive(Debug)]
+struct Waiting {
+    len: usize,
+    /// Their indices in the band.
+    pixels: [usize; 2 * GROUP_PIXELS],
+    places: [[f32; 2]; 2 * GROUP_PIXELS],
+    jacobians: [[f32; 4]; 2 * GROUP_PIXELS],
+}
+
+impl Default for Waiting {
+    fn default() -> Self {
+        Self {
+            len: 0,
+            pixels: [0; 2 * GROUP_PIXELS],
+            places: [[0.0; 2]; 2 * GROUP_PIXELS],
+            jacobians: [[0.0; 4]; 2 * GROUP_PIXELS],
+        }
+    }
 }
 
 /// Pixels that need the same number of samples.
@@ -130,56 +165,54 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     0.999 * (0.5 * POINT_SHRINKING + (0.25 * POINT_SHRINKING * POINT_SHRINKING + share).sqrt())
 }
 
-/// Appends every pixel that needs several samples; at most [`GROUP_PIXELS`] pixels, and there must
-/// be room for as many of each kind. `first`: index of the first pixel. Passes over arrays, which
-/// compilers vectorise; each keeps fewer pixels.
+/// Appends the pixels of marked cells to those that wait: of the first `len`, at most
+/// [`GROUP_PIXELS`], while fewer than that wait. `u` and `v` hold them and whole groups of
+/// [`LANES`], of any values. `first`: index of the first pixel.
 #[inline(always)]
 pub(super) fn footprints(
     grid: &FootprintGrid,
-    u: &[f32],
-    v: &[f32],
+    (u, v): (&[f32], &[f32]),
+    len: usize,
     first: usize,
     batch: &mut FootprintBatch,
 ) {
-    let FootprintBatch { alike, lanes } = batch;
+    let FootprintBatch { waiting, lanes, .. } = batch;
     let FootprintArrays {
         pixels,
         cells,
         shares: [s, t],
-        mixed,
-        jacobians,
-        several,
-        shapes,
+        ..
     } = &mut **lanes;
-    cells.fill(0);
-    locate(
-        u,
+    let groups = len.next_multiple_of(LANES).min(GROUP_PIXELS);
+    let (across, down) = (
         (grid.origin[0], grid.cells[0], grid.columns),
-        1,
-        cells,
-        s,
-    );
-    locate(
-        v,
         (grid.origin[1], grid.cells[1], grid.rows),
-        grid.columns as u32,
-        cells,
-        t,
     );
+    let (u, v) = (&u[..groups], &v[..groups]);
+    let (cells, s, t) = (&mut cells[..groups], &mut s[..groups], &mut t[..groups]);
+    for k in 0..groups {
+        let (i, j);
+        (i, s[k]) = locate(u[k], across);
+        (j, t[k]) = locate(v[k], down);
+        cells[k] = i + j * grid.columns as u32;
+    }
     // Most pixels lie in cells that shrink nothing, so they are sorted out first. A pixel is always
     // written, and counted if it is marked: without a branch, which would be guessed wrongly along
     // every border of such cells.
     let mut count = 0;
-    for (k, cell) in cells[..u.len()].iter().enumerate() {
+    for (k, cell) in cells[..len].iter().enumerate() {
         pixels[count] = k;
         count += usize::from(grid.marked[*cell as usize]);
     }
-    if count == 0 {
-        return;
-    }
     // Jacobians are known at vertices and mixed in between: constant ones in each cell would show
     // its edges in an image that is made smaller.
-    for (mixed, k) in mixed.iter_mut().zip(&pixels[..count]) {
+    let new = waiting.len..waiting.len + count;
+    waiting.len += count;
+    let appended = waiting.pixels[new.clone()]
+        .iter_mut()
+        .zip(&mut waiting.places[new.clone()])
+        .zip(&mut waiting.jacobians[new]);
+    for (((pixel, place), jacobian), k) in appended.zip(&pixels[..count]) {
         let at = cells[*k] as usize;
         let top: &[[f32; 4]; 2] = grid.jacobians[at..]
             .first_chunk()
@@ -187,16 +220,37 @@ pub(super) fn footprints(
         let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..]
             .first_chunk()
             .expect("a cell has a lower side");
-        *mixed = mix(
+        *jacobian = mix(
             &mix(&top[0], &top[1], s[*k]),
             &mix(&bottom[0], &bottom[1], s[*k]),
             t[*k],
         );
+        (*pixel, *place) = (first + k, [u[*k], v[*k]]);
     }
+}
+
+/// Takes at most [`GROUP_PIXELS`] of the pixels that wait, and appends those that need several
+/// samples to their kinds; there must be room for as many of each. Passes over arrays, which
+/// compilers vectorise; each keeps fewer pixels.
+#[inline(always)]
+pub(super) fn shapes(grid: &FootprintGrid, batch: &mut FootprintBatch) {
+    let FootprintBatch {
+        waiting,
+        alike,
+        lanes,
+    } = batch;
+    let FootprintArrays {
+        pixels,
+        jacobians,
+        several,
+        shapes,
+        ..
+    } = &mut **lanes;
     let [xx, yx, xy, yy] = &mut *jacobians;
-    let groups = count.next_multiple_of(LANES).min(GROUP_PIXELS);
+    let marked = waiting.len.min(GROUP_PIXELS);
+    let groups = marked.next_multiple_of(LANES).min(GROUP_PIXELS);
     for k in 0..groups {
-        [xx[k], yx[k], xy[k], yy[k]] = mixed[k];
+        [xx[k], yx[k], xy[k], yy[k]] = waiting.jacobians[k];
     }
     for k in 0..groups {
         let (det, [a, b]) = squares(&[xx[k], yx[k], xy[k], yy[k]]);
@@ -204,10 +258,10 @@ pub(super) fn footprints(
         several[k] = u32::from((a > limit) | (b > limit));
     }
     // Those that need one sample after all are dropped in place: `count` never passes k.
-    let marked = std::mem::take(&mut count);
+    let mut count = 0;
     for k in 0..marked {
         (xx[count], yx[count], xy[count], yy[count], pixels[count]) =
-            (xx[k], yx[k], xy[k], yy[k], pixels[k]);
+            (xx[k], yx[k], xy[k], yy[k], k);
         count += several[k] as usize;
     }
     shapes.fill(jacobians, count, &grid.scale);
@@ -221,10 +275,64 @@ pub(super) fn footprints(
         let reduction = (0..16_u32)
             .find(|r| shapes.distance[n] <= MAX_SAMPLE_DISTANCE_PX * (1_u32 << r) as f32)
             .unwrap_or(16);
-        let [ax, ay, bx, by] = &shapes.sides;
-        let place = [u[*k], v[*k], ax[n], ay[n], bx[n], by[n]];
+        let ([ax, ay, bx, by], [u, v]) = (&shapes.sides, waiting.places[*k]);
+        let place = [u, v, ax[n], ay[n], bx[n], by[n]];
         let kind = (across + down) as usize - 1 + KINDS * usize::from(reduction > 0);
-        alike[kind].push(first + k, place, [reduction, across]);
+        alike[kind].push(waiting.pixels[*k], place, [reduction, across]);
+    }
+    // The others move to the front: they are fewer than a group.
+    let left = marked..waiting.len;
+    waiting.len = left.len();
+    waiting.pixels.copy_within(left.clone(), 0);
+    waiting.places.copy_within(left.clone(), 0);
+    waiting.jacobians.copy_within(left, 0);
+}
+
+/// Clears the marks of the cells between two lines of vertices in which every pixel certainly
+/// needs one sample. `lines`: their Jacobians; `limit`: [`FootprintGrid::limit`].
+///
+/// Jacobians in between are means of the corners', so their sides are no longer than the longest of
+/// the corners', and their area is a mean of the corners' areas and of the mixed areas of each two,
+/// at least the least of these.
+#[inline(always)]
+pub(super) fn unmark(lines: (&[[f32; 4]], &[[f32; 4]]), limit: f32, marked: &mut [u8]) {
+    let cells = marked.len();
+    let (above, below) = (&lines.0[..=cells], &lines.1[..=cells]);
+    let limit = 0.5 * ONE_SAMPLE_MARGIN * limit;
+    let most = |a: f32, b: f32| if a > b { a } else { b };
+    let least = |a: f32, b: f32| if a < b { a } else { b };
+    // Twice the mixed area.
+    let both = |a: [f32; 4], b: [f32; 4]| (a[0] * b[3] + b[0] * a[3]) - (a[2] * b[1] + b[2] * a[1]);
+    let sides = |[xx, yx, xy, yy]: [f32; 4]| (xx * xx + xy * xy, yy * yy + yx * yx);
+    for (i, marked) in marked.iter_mut().enumerate() {
+        let [a, b, c, d] = [above[i], above[i + 1], below[i], below[i + 1]];
+        let ((ax, ay), (bx, by), (cx, cy), (dx, dy)) = (sides(a), sides(b), sides(c), sides(d));
+        let longest = most(
+            most(most(ax, ay), most(bx, by)),
+            most(most(cx, cy), most(dx, dy)),
+        );
+        // Unlike the largest, a sum keeps what is not a number.
+        let all = ((ax + ay) + (bx + by)) + ((cx + cy) + (dx + dy));
+        let areas = [
+            both(a, a),
+            both(b, b),
+            both(c, c),
+            both(d, d),
+            both(a, b),
+            both(a, c),
+            both(a, d),
+            both(b, c),
+            both(b, d),
+            both(c, d),
+        ];
+        let (mut smallest, mut largest) = (areas[0], areas[0]);
+        for area in areas {
+            (smallest, largest) = (least(smallest, area), most(largest, area));
+        }
+        // Where the areas have both signs, this is not positive, and the mark stays.
+        let area = limit * most(most(smallest, -largest), 0.0);
+        let is_one = (longest < area * area) & (all < MOST_STRETCHED);
+        *marked &= u8::from(!is_one);
     }
 }
 
@@ -252,13 +360,12 @@ pub(super) fn positions(alike: &Alike, log: u32, us: &mut [f32], vs: &mut [f32])
     }
 }
 
-/// The arrays of [`footprints`].
+/// The arrays of [`footprints`] and [`shapes`].
 #[derive(Debug)]
 struct FootprintArrays {
     pixels: [usize; GROUP_PIXELS],
     cells: [u32; GROUP_PIXELS],
     shares: [[f32; GROUP_PIXELS]; 2],
-    mixed: [[f32; 4]; GROUP_PIXELS],
     jacobians: [[f32; GROUP_PIXELS]; 4],
     several: [u32; GROUP_PIXELS],
     shapes: Shapes,
@@ -273,42 +380,34 @@ impl Default for FootprintArrays {
             distance: [0.0; GROUP_PIXELS],
         };
         let (pixels, cells, several) = ([0; GROUP_PIXELS], [0; GROUP_PIXELS], [0; GROUP_PIXELS]);
-        let (mixed, jacobians) = ([[0.0; 4]; GROUP_PIXELS], [[0.0; GROUP_PIXELS]; 4]);
         Self {
             pixels,
             cells,
             shares: [[0.0; GROUP_PIXELS]; 2],
-            mixed,
-            jacobians,
+            jacobians: [[0.0; GROUP_PIXELS]; 4],
             several,
             shapes,
         }
     }
 }
 
-/// Adds `step` times the cells along one axis to `cells`, and computes the positions in them.
+/// The cell of a position along one axis, and the share of the cell before it.
 #[inline(always)]
-fn locate(
-    at: &[f32],
-    (origin, per, lines): (f32, f32, usize),
-    step: u32,
-    cells: &mut [u32],
-    shares: &mut [f32],
-) {
+fn locate(at: f32, (origin, per, lines): (f32, f32, usize)) -> (u32, f32) {
     let (last, most) = ((lines - 2) as f32, (lines - 1) as f32);
-    for ((at, cell), share) in at.iter().zip(cells).zip(shares) {
-        let at = (at - origin) * per;
-        // NaN becomes 0.
-        let at = if at > 0.0 { at } else { 0.0 };
-        let at = if at < most { at } else { most };
-        // Conversions of floats to integers are not vectorised, because they saturate.
-        let nearest = (at + ROUND_F32) - ROUND_F32;
-        let below = if nearest > at { nearest - 1.0 } else { nearest };
-        let below = if below < last { below } else { last };
-        *cell += ((below + ROUND_F32).to_bits() & 0x007f_ffff) * step;
-        let inside = at - below;
-        *share = if inside < 1.0 { inside } else { 1.0 };
-    }
+    let at = (at - origin) * per;
+    // NaN becomes 0.
+    let at = if at > 0.0 { at } else { 0.0 };
+    let at = if at < most { at } else { most };
+    // Conversions of floats to integers are not vectorised, because they saturate.
+    let nearest = (at + ROUND_F32) - ROUND_F32;
+    let below = if nearest > at { nearest - 1.0 } else { nearest };
+    let below = if below < last { below } else { last };
+    let inside = at - below;
+    (
+        (below + ROUND_F32).to_bits() & 0x007f_ffff,
+        if inside < 1.0 { inside } else { 1.0 },
+    )
 }
 
 #[inline(always)]
@@ -399,4 +498,53 @@ fn side((x, y): (f32, f32), square: f32, det: f32, scale: &[f32; 2]) -> (f32, f3
 #[inline(always)]
 fn inverse(log: u32) -> f32 {
     f32::from_bits((127 - log) << 23)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_without_marks_have_one_sample_everywhere() {
+        let mut random = 1_u32;
+        let mut share = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 8) as f32 / (1 << 24) as f32
+        };
+        let (limit, mut unmarked) = (one_sample_up_to(1.0), 0);
+        for round in 0..2000 {
+            // From nearly equal corners, turned or mirrored, to any.
+            let (spread, turn, size) = (2.0 * share() * share(), 6.3 * share(), 2.0 * share());
+            let flip = if round % 2 == 0 { 1.0 } else { -1.0 };
+            let mean = [
+                turn.cos(),
+                turn.sin(),
+                -flip * turn.sin(),
+                flip * turn.cos(),
+            ];
+            let corners: [[f32; 4]; 4] =
+                std::array::from_fn(|_| mean.map(|value| size * value + spread * (share() - 0.5)));
+            let mut marked = [1];
+            unmark((&corners[..2], &corners[2..]), limit, &mut marked);
+            unmarked += u32::from(marked == [0]);
+            for at in 0..121_u8 {
+                let (s, t) = (f32::from(at % 11) / 10.0, f32::from(at / 11) / 10.0);
+                let (top, bottom) = (
+                    mix(&corners[0], &corners[1], s),
+                    mix(&corners[2], &corners[3], s),
+                );
+                let (det, [a, b]) = squares(&mix(&top, &bottom, t));
+                let needs_several = a.max(b) > limit * limit * det * det;
+                assert!(marked == [1] || !needs_several, "{corners:?} at {s}, {t}");
+            }
+        }
+        assert!((200..1800).contains(&unmarked), "{unmarked} of 2000");
+        let mut marked = [1];
+        unmark(
+            (&[[f32::NAN; 4]; 2], &[[1.0, 0.0, 0.0, 1.0]; 2]),
+            limit,
+            &mut marked,
+        );
+        assert_eq!(marked, [1], "what is not a number keeps its mark");
+    }
 }

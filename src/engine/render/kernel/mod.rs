@@ -142,17 +142,30 @@ impl Kernel {
         dispatch!(self, shrinks(lines, per, least, shrinking));
     }
 
-    /// Appends the pixels that need several samples. `first`: index of the first pixel. There must
-    /// be room for as many of each kind.
+    /// Appends the first `len` pixels, as far as they lie in marked cells, to those that wait for
+    /// [`Self::shapes`]. `places`: u and v, with whole groups of [`LANES`]; `first`: index of the
+    /// first pixel.
     pub(super) fn footprints(
         self,
         grid: &FootprintGrid,
-        u: &[f32],
-        v: &[f32],
+        places: (&[f32], &[f32]),
+        len: usize,
         first: usize,
         batch: &mut FootprintBatch,
     ) {
-        dispatch!(self, footprints(grid, u, v, first, batch));
+        dispatch!(self, footprints(grid, places, len, first, batch));
+    }
+
+    /// Appends those of a group of waiting pixels that need several samples to their kinds. There
+    /// must be room for as many of each kind.
+    pub(super) fn shapes(self, grid: &FootprintGrid, batch: &mut FootprintBatch) {
+        dispatch!(self, shapes(grid, batch));
+    }
+
+    /// Clears the marks of cells between two lines of Jacobians in which every pixel needs one
+    /// sample.
+    pub(super) fn unmark(self, lines: (&[[f32; 4]], &[[f32; 4]]), limit: f32, marked: &mut [u8]) {
+        dispatch!(self, unmark(lines, limit, marked));
     }
 
     /// The positions of `2^log` samples of each pixel: the first samples of all, then the second

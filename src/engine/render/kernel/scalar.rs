@@ -19,7 +19,7 @@ pub(super) use super::bilinear::sample;
 pub(in crate::render) use super::bilinear::{ROUND_SAMPLE, fixed};
 pub(super) use super::cell_block::classify;
 pub(super) use super::cells::fill;
-pub(super) use super::footprints::{footprints, positions};
+pub(super) use super::footprints::{footprints, positions, shapes, unmark};
 pub(super) use super::rounding::ROUND_F32;
 use super::rounding::ROUNDING_SUMMAND;
 use crate::render::snapped_grid::{BLOCK_COLUMNS, MAX_STEPS, PX_PER_STEP, SnappedGrid, YRange};
