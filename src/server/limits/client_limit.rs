@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether all keys belong to one name: then there is no other client that a share would protect. Keys may
-/// change while the server runs.
+/// Whether all keys belong to one name: then there is no other client that a share would protect.
+/// Keys may change while the server runs.
 #[derive(Clone, Debug, Default)]
 pub struct SoleClient(Arc<AtomicBool>);
 
