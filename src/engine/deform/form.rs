@@ -35,14 +35,22 @@ pub(super) fn displacement<const N: usize>(
             .fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
         CoefficientForm::Complex => pull(rows, k, d),
         CoefficientForm::Rigid => {
-            let shift = rows
-                .wn
-                .iter()
-                .zip(d)
-                .fold(Vec2::ZERO, |sum, (wn, d)| sum + *d * wn[k]);
-            Vec2::new(rows.e[0][k], rows.e[1][k]).complex_mul(rho(pull(rows, k, d))) + shift
+            let [shift, e, u] = rigid_motion(rows, k, d);
+            e.complex_mul(rho(u)) + shift
         }
     }
+}
+
+/// d, e and u of [`MotionLanes`], of vertex `k` of the rows of a rigid map.
+pub(super) fn rigid_motion<const N: usize>(
+    rows: &Coefficients<N>,
+    k: usize,
+    d: &[Vec2],
+) -> [Vec2; 3] {
+    let shares = rows.wn.iter().zip(d);
+    let shift = shares.fold(Vec2::ZERO, |sum, (wn, d)| sum + *d * wn[k]);
+    let e = Vec2::new(rows.e[0][k], rows.e[1][k]);
+    [shift, e, pull(rows, k, d)]
 }
 
 /// `sum H_j d_j` (rigid: u) or `sum C_j d_j` (similarity).
@@ -50,6 +58,61 @@ fn pull<const N: usize>(rows: &Coefficients<N>, k: usize, d: &[Vec2]) -> Vec2 {
     rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| {
         sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d)
     })
+}
+
+/// f of N vertices as a function of the share s that the handles have gone of their ways:
+/// `f(v) = v + s d + e rho(s u)`; of similarities `v + s d + s e u`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MotionLanes<const N: usize> {
+    pub(super) d: [[f64; N]; 2],
+    pub(super) e: [[f64; N]; 2],
+    pub(super) u: [[f64; N]; 2],
+}
+
+impl<const N: usize> MotionLanes<N> {
+    pub(super) const ZERO: Self = Self {
+        d: [[0.0; N]; 2],
+        e: [[0.0; N]; 2],
+        u: [[0.0; N]; 2],
+    };
+
+    /// Replaces a lane by d, e and u.
+    pub(super) fn put(&mut self, lane: usize, [d, e, u]: [Vec2; 3]) {
+        for (lanes, v) in [(&mut self.d, d), (&mut self.e, e), (&mut self.u, u)] {
+            (lanes[0][lane], lanes[1][lane]) = (v.x, v.y);
+        }
+    }
+
+    /// `f(v) - v`, px, and |m| (rigid), else 1.
+    #[inline(always)]
+    pub(super) fn at(&self, form: CoefficientForm, share: f64) -> ([[f64; N]; 2], [f64; N]) {
+        let (mut x, mut y, mut m) = ([0.0; N], [0.0; N], [1.0; N]);
+        let is_rigid = form == CoefficientForm::Rigid;
+        for k in 0..N {
+            let (ux, uy) = (share * self.u[0][k], share * self.u[1][k]);
+            let (ex, ey) = (self.e[0][k], self.e[1][k]);
+            if !is_rigid {
+                x[k] = share * self.d[0][k] + (ex * ux - ey * uy);
+                y[k] = share * self.d[1][k] + (ex * uy + ey * ux);
+                continue;
+            }
+            // rho(u) without a branch, as in `kernel/scalar.rs`.
+            let mx = 1.0 + ux;
+            let n = (mx * mx + uy * uy).sqrt();
+            let is_ahead = mx > 0.0;
+            let more = if is_ahead { n + mx } else { 1.0 };
+            let over = if is_ahead { -(uy * uy) } else { mx - n };
+            let is_defined = n >= UNDEFINED_ROTATION;
+            let (re, im) = (
+                if is_defined { over / (more * n) } else { 0.0 },
+                if is_defined { uy / n } else { 0.0 },
+            );
+            m[k] = n;
+            x[k] = share * self.d[0][k] + (ex * re - ey * im);
+            y[k] = share * self.d[1][k] + (ex * im + ey * re);
+        }
+        ([x, y], m)
+    }
 }
 
 /// The length |m| of the fitted rotation for rigid, 1 for the other families; near 0 all

@@ -45,6 +45,8 @@ mod mesh_solver;
 #[forbid(unsafe_code)]
 mod methods;
 #[forbid(unsafe_code)]
+mod moving_map;
+#[forbid(unsafe_code)]
 mod overall;
 #[forbid(unsafe_code)]
 mod parameters;

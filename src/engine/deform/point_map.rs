@@ -5,9 +5,10 @@ use std::fmt;
 use std::sync::Arc;
 
 use super::columns::{HandleElements, Rank};
-use super::form::CoefficientForm;
+use super::form::{CoefficientForm, MotionLanes};
 use super::lanes::{LANES, Vertices};
 use super::mesh_solver::MeshSolver;
+use super::tiles::TILE_LANES;
 use super::workspace::Workspace;
 use super::{DeformError, Handles, IsCancelled, Parameters, Warning};
 use crate::geometry::{Point, Vec2};
@@ -131,6 +132,13 @@ pub(super) trait PosedWithoutCoefficients:
     }
 }
 
+/// f of one pose at any share of the way of its handles, for positions that are used once.
+pub(super) trait PosedOnce: fmt::Debug + Send + Sync {
+    /// Appends the motion of every position, a block after the other. Returns the indices of those
+    /// that are not precise, and need their rows.
+    fn motions(&self, places: &[Point], out: &mut Vec<MotionLanes<TILE_LANES>>) -> Vec<usize>;
+}
+
 /// A map whose value is known at any position.
 pub(super) trait PointMap: CoefficientsOf<1> + CoefficientsOf<LANES> + Send + Sync {
     /// See [`Identity`].
@@ -203,6 +211,15 @@ pub(super) trait PointMap: CoefficientsOf<1> + CoefficientsOf<LANES> + Send + Sy
         _displacements: &'a [Vec2],
         _exact: bool,
     ) -> Option<Box<dyn PosedWithoutCoefficients + 'a>> {
+        None
+    }
+
+    /// The same at any share of the way of the handles.
+    fn posed_once<'a>(
+        &'a self,
+        _set: &'a RestSet,
+        _displacements: &'a [Vec2],
+    ) -> Option<Box<dyn PosedOnce + 'a>> {
         None
     }
 

@@ -17,7 +17,7 @@ use crate::parallel::prelude::*;
 
 /// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some
 /// microseconds, with lines a millisecond.
-const COLUMNS_BETWEEN_CHECKS: usize = 256;
+pub(super) const COLUMNS_BETWEEN_CHECKS: usize = 256;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
 
@@ -203,6 +203,11 @@ impl<'a> PosedMap<'a> {
         self.field.handles.columns()
     }
 
+    /// What coefficients multiply.
+    pub(super) fn multiplied(&self) -> &[Vec2] {
+        &self.terms
+    }
+
     /// The number of coefficients of a position.
     pub(super) fn terms(&self) -> usize {
         self.terms.len()
@@ -225,17 +230,6 @@ impl<'a> PosedMap<'a> {
     /// when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
-        self.map_all_as(places, true, cancelled)
-    }
-
-    /// The same; not `exact`: segments as in a table, which differs by less than what is drawn
-    /// shows, and takes a third of the time.
-    pub(super) fn map_all_as(
-        &self,
-        places: &[Point],
-        exact: bool,
-        cancelled: IsCancelled<'_>,
-    ) -> Option<Vec<Point>> {
         let mut workspace = Workspace::new(self.terms());
         let mut mapped = Vec::with_capacity(places.len());
         for places in places.chunks(LANES * (COLUMNS_BETWEEN_CHECKS / self.columns().max(1)).max(1))
@@ -245,7 +239,7 @@ impl<'a> PosedMap<'a> {
             }
             places
                 .chunks(LANES)
-                .for_each(|places| mapped.extend(self.block(places, exact, &mut workspace)));
+                .for_each(|places| mapped.extend(self.map_block(places, &mut workspace)));
         }
         Some(mapped)
     }
@@ -314,12 +308,8 @@ impl<'a> PosedMap<'a> {
         places: &[Point],
         workspace: &mut Workspace<LANES>,
     ) -> Vec<Point> {
-        self.block(places, true, workspace)
-    }
-
-    fn block(&self, places: &[Point], exact: bool, workspace: &mut Workspace<LANES>) -> Vec<Point> {
         let v = gather(|lane| places[lane.min(places.len() - 1)]);
-        let ([x, y], _) = self.displacements(&v, exact, workspace);
+        let ([x, y], _) = self.displacements(&v, true, workspace);
         places
             .iter()
             .enumerate()

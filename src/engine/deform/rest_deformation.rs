@@ -14,7 +14,7 @@ use super::handles::{Handles, MAX_COORDINATE};
 use super::lanes::{Coefficients, Vertices};
 use super::methods::mls::geodesic::GeodesicLeastSquares;
 use super::point_map::{
-    BuiltMap, BuiltMesh, CoefficientsOf, Identity, MapInput, PointMap, RestSet,
+    BuiltMap, BuiltMesh, CoefficientsOf, Identity, MapInput, PointMap, PosedOnce, RestSet,
 };
 use super::workspace::Workspace;
 use super::{
@@ -374,6 +374,12 @@ impl RestDeformation {
     #[must_use]
     pub fn terms(&self) -> usize {
         self.map.terms(self.handles.columns())
+    }
+
+    /// f of displaced columns at positions that are used once, if that takes less than rows.
+    pub(super) fn posed_once<'a>(&'a self, d: &'a [Vec2]) -> Option<Box<dyn PosedOnce + 'a>> {
+        let has_extent = matches!(self.set.rank, Rank::Collinear | Rank::Full);
+        has_extent.then(|| self.map.posed_once(&self.set, d))?
     }
 
     /// The vectors that coefficients multiply, px.

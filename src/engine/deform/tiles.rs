@@ -417,7 +417,7 @@ impl<K: RadialKernel, const SUMS: usize, const NODES: usize> LaneWork
 
 /// By value: sums in memory that may overlap are not vectorised.
 #[inline(always)]
-fn plus<const N: usize>(mut sum: [f64; N], factor: f64, term: [f64; N]) -> [f64; N] {
+pub(super) fn plus<const N: usize>(mut sum: [f64; N], factor: f64, term: [f64; N]) -> [f64; N] {
     for k in 0..N {
         sum[k] += factor * term[k];
     }
@@ -426,7 +426,7 @@ fn plus<const N: usize>(mut sum: [f64; N], factor: f64, term: [f64; N]) -> [f64;
 
 /// Adds the kernel times the factors of each source.
 #[inline(always)]
-fn add_sources<K: RadialKernel, const SUMS: usize>(
+pub(super) fn add_sources<K: RadialKernel, const SUMS: usize>(
     kernel: K,
     sources: &[TileSource<SUMS>],
     x: &[f64; TILE_LANES],

@@ -169,7 +169,7 @@ impl PosedMesh {
         }
         #[cfg(feature = "unfold")]
         if unfolded.is_some() {
-            digest = Collector::new("mlswarp unfolded 1")
+            digest = Collector::new("mlswarp unfolded 2")
                 .bytes(&digest.0)
                 .finish();
         }

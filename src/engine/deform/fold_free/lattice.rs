@@ -1,7 +1,11 @@
 //! The lattice on which a factor is examined: larger than the image, so that what lies outside
 //! stays open too.
 
-use crate::geometry::{Point, Vec2};
+use std::ops::Range;
+
+use crate::deform::kernel::{LaneWork, run_at};
+use crate::geometry::{Orientation, Point, Vec2};
+use crate::level::SimdLevel;
 
 /// The least share of its area at rest that a corner keeps in one factor. Not 0, so that a drag is
 /// continuous: just beyond it, the second factor is nearly the identity.
@@ -58,41 +62,133 @@ impl ControlLattice {
         &self.places
     }
 
-    /// Calls `look` with a corner and the ends of its edges, whose cross product at rest is the
-    /// area of a cell, until it returns false; whether it never did.
-    fn all_corners(&self, mut look: impl FnMut(usize, usize, usize) -> bool) -> bool {
-        let rows = self.places.len() / self.columns;
-        let mut cells = (0..rows - 1).flat_map(|j| (0..self.columns - 1).map(move |i| (i, j)));
-        cells.all(|(i, j)| {
-            let a = j * self.columns + i;
-            let [b, c, d] = [a + 1, a + self.columns + 1, a + self.columns];
-            look(a, b, d) && look(b, c, a) && look(c, d, b) && look(d, a, c)
-        })
+    /// Rows of cells.
+    pub(super) fn rows(&self) -> usize {
+        self.places.len() / self.columns - 1
+    }
+
+    /// The vertices of a line above or below cells.
+    pub(super) const fn line(&self, line: usize) -> Range<usize> {
+        line * self.columns..(line + 1) * self.columns
     }
 
     /// Whether every corner keeps its share.
     pub(super) fn is_open(&self, mapped: &[Point]) -> bool {
+        let is_closed = |row| self.is_closed(&mapped[self.line(row)], &mapped[self.line(row + 1)]);
+        !(0..self.rows()).any(is_closed)
+    }
+
+    /// Whether a corner of the row of cells between two lines does not keep its share.
+    pub(super) fn is_closed(&self, above: &[Point], below: &[Point]) -> bool {
         let least = LEAST_CORNER * self.area;
-        self.all_corners(|a, b, c| (mapped[b] - mapped[a]).cross(mapped[c] - mapped[a]) >= least)
+        let work = ClosedRow {
+            above,
+            below,
+            least,
+        };
+        run_at(SimdLevel::detect(), work)
     }
 
     /// The largest share of these displacements, up to 1, with which every corner keeps its share.
     pub(super) fn longest(&self, displacements: &[Vec2]) -> f64 {
-        let (d, v) = (displacements, &self.places);
+        let spare = self.area * (1.0 - LEAST_CORNER);
+        let side = self.area.sqrt();
         let mut longest = 1.0_f64;
-        self.all_corners(|a, b, c| {
-            let (edges, moved) = ([v[b] - v[a], v[c] - v[a]], [d[b] - d[a], d[c] - d[a]]);
-            let linear = edges[0].cross(moved[1]) + moved[0].cross(edges[1]);
-            let square = moved[0].cross(moved[1]);
-            let spare = self.area * (1.0 - LEAST_CORNER);
-            // Most corners lose less than they have to spare, which needs no root.
-            let lost = linear.min(0.0) + square.min(0.0) * longest;
-            if spare + lost * longest <= 0.0 {
-                longest = longest.min(first_root([spare, linear, square]));
+        for row in 0..self.rows() {
+            let (above, below) = (
+                &displacements[self.line(row)],
+                &displacements[self.line(row + 1)],
+            );
+            let losing = LosingRow {
+                above,
+                below,
+                side,
+                least: -spare / longest,
+                longest,
+            };
+            if !run_at(SimdLevel::detect(), losing) {
+                continue;
             }
-            true
-        });
+            for (above, below) in above.windows(2).zip(below.windows(2)) {
+                for [linear, square] in losses([above[0], above[1], below[1], below[0]], side) {
+                    // The first share at which the corner has no more to spare.
+                    let first = first_root([spare, linear, square]);
+                    longest = longest.min(first);
+                }
+            }
+        }
         longest
+    }
+}
+
+/// What a share s of these displacements of the corners of a cell, clockwise from the upper left
+/// one, adds to the cross product of each: `linear s + square s^2`.
+#[inline(always)]
+fn losses([a, b, c, d]: [Vec2; 4], side: f64) -> [[f64; 2]; 4] {
+    let [top, right, bottom, left] = [b - a, c - b, c - d, d - a];
+    [
+        [side * (top.x + left.y), top.cross(left)],
+        [side * (top.x + right.y), top.cross(right)],
+        [side * (bottom.x + right.y), bottom.cross(right)],
+        [side * (bottom.x + left.y), bottom.cross(left)],
+    ]
+}
+
+/// Whether a corner of a row of cells keeps less than `least` of its area, px^2.
+struct ClosedRow<'a> {
+    above: &'a [Point],
+    below: &'a [Point],
+    least: f64,
+}
+
+impl LaneWork for ClosedRow<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        let (above, below, least) = (self.above, self.below, self.least);
+        let cells = above.len().min(below.len()) - 1;
+        let (above, below) = (&above[..=cells], &below[..=cells]);
+        let mut is_open = true;
+        for k in 0..cells {
+            let [a, b, c, d] = [above[k], above[k + 1], below[k + 1], below[k]];
+            // Without a branch, so that cells fill vectors; what is no number is closed too.
+            for turn in Orientation::turns([b - a, c - b, c - d, d - a]) {
+                is_open &= turn >= least;
+            }
+        }
+        !is_open
+    }
+}
+
+/// Whether a corner of a row of cells may lose all that it has to spare within the share `longest`
+/// of these displacements: most lose less, which needs no root.
+struct LosingRow<'a> {
+    above: &'a [Vec2],
+    below: &'a [Vec2],
+    side: f64,
+    least: f64,
+    longest: f64,
+}
+
+impl LaneWork for LosingRow<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        let (above, below) = (self.above, self.below);
+        let cells = above.len().min(below.len()) - 1;
+        let (above, below) = (&above[..=cells], &below[..=cells]);
+        let negative = |value: f64| if value < 0.0 { value } else { 0.0 };
+        let mut is_losing = false;
+        for k in 0..cells {
+            let corners = [above[k], above[k + 1], below[k + 1], below[k]];
+            for [linear, square] in losses(corners, self.side) {
+                let lost = negative(linear) + negative(square) * self.longest;
+                is_losing |= lost <= self.least;
+            }
+        }
+        is_losing
     }
 }
 

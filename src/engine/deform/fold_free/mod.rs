@@ -14,7 +14,8 @@ use std::sync::Arc;
 
 use self::lattice::ControlLattice;
 use self::path::{HandlePlaces, Path, between, handles_like, places_of};
-use self::way::{Way, table_bytes};
+use self::way::Way;
+use super::moving_map::MovingMap;
 use super::{
     Class, CoefficientForm, DeformError, Handle, IsCancelled, Pose, RestDeformation, fitted,
 };
@@ -32,7 +33,7 @@ const PLACES_PER_TASK: usize = 512;
 const PAIR_OPERATIONS: u64 = 2;
 /// Memory of a position of the control lattice while a factor is sought, and of a column of the
 /// factor, bytes.
-const CONTROL_BYTES: u64 = 64;
+const CONTROL_BYTES: u64 = 160;
 const COLUMN_BYTES: u64 = 1024;
 
 /// What a product may take, in the unit of the caller.
@@ -161,8 +162,10 @@ impl FoldFree {
                 return Ok(None);
             }
             work.take(work.of_position.saturating_mul(lattice.len()))?;
-            let mapped =
-                mapped((rest, pose), lattice.places(), false, cancelled).ok_or(CANCELLED)?;
+            let plain = MovingMap::new(rest, pose);
+            let mapped = plain
+                .map_all(lattice.places(), cancelled)
+                .ok_or(CANCELLED)?;
             if lattice.is_open(&mapped) {
                 return Ok(None);
             }
@@ -201,7 +204,7 @@ impl FoldFree {
     pub fn peak_bytes(rest: &RestDeformation, grid: &Grid) -> u64 {
         let columns = rest.handles().columns() as u64;
         let lattice = ControlLattice::count(grid.width(), grid.height());
-        CONTROL_BYTES * lattice + COLUMN_BYTES * columns + table_bytes(rest, lattice)
+        CONTROL_BYTES * lattice + COLUMN_BYTES * columns
     }
 
     fn composed(
@@ -247,10 +250,9 @@ impl FoldFree {
                 let way = Way {
                     field: &field,
                     form: p,
-                    now,
                     target,
                 };
-                let share = way.longest(is_linear, lattice, work, cancelled)?;
+                let share = way.longest(lattice, work, cancelled)?;
                 let next = if share < 1.0 {
                     between(now, target, share)
                 } else {
@@ -321,7 +323,7 @@ impl FoldFree {
     ) -> Option<Vec<Point>> {
         let mut places = places.to_vec();
         for (field, pose) in factors {
-            places = mapped((field, pose), &places, true, cancelled)?;
+            places = mapped((field, pose), &places, cancelled)?;
         }
         Some(self.moved(places))
     }
@@ -329,20 +331,10 @@ impl FoldFree {
     /// f at many positions, by one factor after the other. `None` when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
-        self.map_all_as(places, true, cancelled)
-    }
-
-    /// Not `exact`: in the precision of what is drawn.
-    fn map_all_as(
-        &self,
-        places: &[Point],
-        exact: bool,
-        cancelled: IsCancelled<'_>,
-    ) -> Option<Vec<Point>> {
         let mut places = places.to_vec();
         for step in 0..self.count() {
             let (field, pose) = self.factor(step, cancelled)?;
-            places = mapped((&field, &pose), &places, exact, cancelled)?;
+            places = mapped((&field, &pose), &places, cancelled)?;
         }
         Some(self.moved(places))
     }
@@ -363,7 +355,12 @@ impl FoldFree {
         let places: Vec<Point> = rows
             .flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)))
             .collect();
-        let mapped = self.map_all_as(&places, false, cancelled)?;
+        let mut mapped = places.clone();
+        for step in 0..self.count() {
+            let (field, pose) = self.factor(step, cancelled)?;
+            mapped = MovingMap::new(&field, &pose).map_all(&mapped, cancelled)?;
+        }
+        let mapped = self.moved(mapped);
         #[expect(
             clippy::cast_possible_truncation,
             reason = "displacements are in single precision"
@@ -384,11 +381,10 @@ const CANCELLED: DeformError = DeformError::Cancelled;
 fn mapped(
     (field, pose): (&RestDeformation, &Pose),
     places: &[Point],
-    exact: bool,
     cancelled: IsCancelled<'_>,
 ) -> Option<Vec<Point>> {
     let f = field.deformation(pose);
-    let map = |places: &[Point]| f.map_all_as(places, exact, cancelled);
+    let map = |places: &[Point]| f.map_all(places, cancelled);
     let parts: Option<Vec<Vec<Point>>> = places.par_chunks(PLACES_PER_TASK).map(map).collect();
     Some(parts?.concat())
 }

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::super::{Falloff, Handles, METHODS, Method};
 use super::*;
-use crate::geometry::untangle;
+use crate::geometry::{Vec2, untangle};
 
 const NEVER: IsCancelled<'static> = &|| false;
 
@@ -116,6 +116,18 @@ fn fold_free_maps_of_the_reference_cases_have_no_fold_and_meet_their_handles() {
             let factors = f.factors(NEVER).unwrap();
             assert_eq!(f.map_by(&factors, &places, NEVER).unwrap(), mapped);
             assert!(f.is_reached() && f.count() > 0, "{name} {of}");
+            // What is drawn is f, also beside handles, where sums of weights cancel.
+            let pose = rest.pose(&q).unwrap();
+            let off = |k: i32| Vec2::new(10_f64.powi(k % 13 - 10), 10_f64.powi(k % 7 - 6));
+            let beside = places.iter().zip(0..).map(|(p, k)| *p + off(k));
+            let beside: Vec<Point> = places.iter().copied().chain(beside).collect();
+            let exact = rest.deformation(&pose).map_all(&beside, NEVER).unwrap();
+            let drawn = MovingMap::new(&rest, &pose)
+                .map_all(&beside, NEVER)
+                .unwrap();
+            let offs = exact.iter().zip(&drawn).map(|(a, b)| a.distance(*b));
+            let farthest = offs.fold(0.0, f64::max);
+            assert!(farthest < 1e-4, "{name} {of}: {farthest}");
             for (mapped, (_, target)) in mapped.iter().zip(targets(&p, &q)) {
                 let off = mapped.distance(target);
                 assert!(off < 1e-6, "{name} {of}: {off}");

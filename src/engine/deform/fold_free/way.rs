@@ -1,35 +1,19 @@
 //! How far one factor goes: as far as every corner of the control lattice stays open.
 
 use super::lattice::ControlLattice;
-use super::path::{HandlePlaces, between, handles_like};
-use super::{CANCELLED, FoldFreeError, ProductWork, mapped};
-use crate::deform::lanes::ON_PLANE;
-use crate::deform::{CoefficientForm, CoefficientTable, Handle, IsCancelled, RestDeformation};
-use crate::geometry::{Point, Vec2};
+use super::path::{HandlePlaces, handles_like};
+use super::{CANCELLED, FoldFreeError, ProductWork};
+use crate::deform::moving_map::{Motions, MovingMap};
+use crate::deform::{CoefficientForm, Handle, IsCancelled, RestDeformation};
+use crate::geometry::Vec2;
 
 /// Bisections for the share of the way of a rotation, whose displacements are not linear in it.
 const BISECTIONS: u32 = 9;
-/// Coefficients of a table that an operation poses.
-const COEFFICIENTS_PER_OPERATION: u64 = 16;
-/// A larger table is not made.
-const MOST_TABLE_BYTES: u64 = 32 << 20;
-
-/// Bytes of the table that a rotation poses for each share of its way, for this many positions; 0
-/// where no table is made.
-pub(super) fn table_bytes(field: &RestDeformation, positions: u64) -> u64 {
-    let positions = usize::try_from(positions).unwrap_or(usize::MAX);
-    let bytes = CoefficientTable::bytes_for(field, positions);
-    let is_useful = field.form() == CoefficientForm::Rigid
-        && CoefficientTable::is_worthwhile(field)
-        && bytes <= MOST_TABLE_BYTES;
-    if is_useful { bytes } else { 0 }
-}
 
 /// The way of one factor.
 pub(super) struct Way<'a> {
     pub(super) field: &'a RestDeformation,
     pub(super) form: &'a [Handle],
-    pub(super) now: &'a HandlePlaces,
     pub(super) target: &'a HandlePlaces,
 }
 
@@ -38,59 +22,71 @@ impl Way<'_> {
     /// open.
     pub(super) fn longest(
         &self,
-        is_linear: bool,
         lattice: &ControlLattice,
         work: &mut ProductWork,
         cancelled: IsCancelled<'_>,
     ) -> Result<f64, FoldFreeError> {
-        let pose_of = |share: f64| {
-            let posed = handles_like(self.form, &between(self.now, self.target, share));
-            self.field.pose(&posed)
+        let (places, form) = (lattice.places(), self.field.form());
+        let pose = self.field.pose(&handles_like(self.form, self.target))?;
+        work.take(work.of_position.saturating_mul(lattice.len()))?;
+        let way = MovingMap::new(self.field, &pose);
+        let motions = &way.motions(places, cancelled).ok_or(CANCELLED)?;
+        let motions = Motions {
+            form,
+            places,
+            motions,
         };
-        let (places, of_all) = (
-            lattice.places(),
-            work.of_position.saturating_mul(lattice.len()),
-        );
-        let table = if is_linear || table_bytes(self.field, lattice.len()) == 0 {
-            None
-        } else {
-            work.take(of_all)?;
-            let vertices: Vec<_> = places.iter().map(|v| (*v, ON_PLANE)).collect();
-            Some(CoefficientTable::of_cut(self.field, &vertices, cancelled).ok_or(CANCELLED)?)
+        let mut closed_rows = |share: f64, among: &[usize]| -> Result<Vec<usize>, FoldFreeError> {
+            work.take(lattice.len())?;
+            if cancelled() {
+                return Err(CANCELLED.into());
+            }
+            let line = |line: usize| motions.at(share, lattice.line(line));
+            let (mut closed, mut below) = (Vec::new(), (usize::MAX, Vec::new()));
+            for row in among {
+                let above = if below.0 == *row { below.1 } else { line(*row) };
+                below = (row + 1, line(row + 1));
+                if lattice.is_closed(&above, &below.1) {
+                    closed.push(*row);
+                }
+            }
+            Ok(closed)
         };
-        let of_table = 1 + self.field.terms() as u64 / COEFFICIENTS_PER_OPERATION;
-        let mut mapped = |share: f64| -> Result<Vec<Point>, FoldFreeError> {
-            let pose = pose_of(share)?;
-            let Some(table) = &table else {
-                work.take(of_all)?;
-                let mapped = mapped((self.field, &pose), places, false, cancelled);
-                return Ok(mapped.ok_or(CANCELLED)?);
-            };
-            work.take(lattice.len().saturating_mul(of_table))?;
-            let (moved, _) = table.displace(&pose, cancelled).ok_or(CANCELLED)?;
-            let moved = places.iter().zip(moved);
-            Ok(moved
-                .map(|(v, [x, y])| *v + Vec2::new(x.into(), y.into()))
-                .collect())
-        };
-        let whole = mapped(1.0)?;
-        if lattice.is_open(&whole) {
+        let all: Vec<usize> = (0..lattice.rows()).collect();
+        let closed = closed_rows(1.0, &all)?;
+        if closed.is_empty() {
             return Ok(1.0);
         }
-        if is_linear {
-            let pairs = whole.iter().zip(lattice.places());
+        if form != CoefficientForm::Rigid {
+            let whole = motions.at(1.0, 0..places.len());
+            let pairs = whole.iter().zip(places);
             let displacements: Vec<Vec2> = pairs.map(|(mapped, v)| *mapped - *v).collect();
             return Ok(lattice.longest(&displacements));
         }
-        let (mut low, mut high) = (0.0, 1.0);
-        for _ in 0..BISECTIONS {
-            let middle = 0.5 * (low + high);
-            if lattice.is_open(&mapped(middle)?) {
-                low = middle;
-            } else {
+        let mut search = |mut among: Vec<usize>, forgets: bool| -> Result<f64, FoldFreeError> {
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..BISECTIONS {
+                let middle = 0.5 * (low + high);
+                let still = closed_rows(middle, &among)?;
+                if still.is_empty() {
+                    low = middle;
+                    continue;
+                }
                 high = middle;
+                if forgets {
+                    among = still;
+                }
             }
+            let is_open = !forgets || closed_rows(low, &all)?.is_empty();
+            Ok(if is_open { low } else { f64::NAN })
+        };
+        // Rows that are open at a share nearly always are at smaller ones too. So only those that
+        // were closed are looked at again, and all of them where the search ends.
+        let share = search(closed, true)?;
+        if share.is_nan() {
+            search(all.clone(), false)
+        } else {
+            Ok(share)
         }
-        Ok(low)
     }
 }

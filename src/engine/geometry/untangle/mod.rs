@@ -5,7 +5,7 @@
 mod minimise;
 
 use self::minimise::minimise;
-use super::{Grid, Mesh, Point, Vec2};
+use super::{Grid, Mesh, Orientation, Point, Vec2};
 
 /// A corner below this share of its area at rest is mended.
 const LEAST_CORNER: f64 = 1e-3;
@@ -65,9 +65,7 @@ pub fn untangle(
     let has_moved = meet(&mut places, &targets, cancelled)?;
     let (mut mended, mut evaluations) = (0, 0);
     for round in 1..=ROUNDS {
-        let bad: Vec<[u32; 2]> = cells(&grid)
-            .filter(|cell| least_corner(&grid, &places, *cell) <= LEAST_CORNER)
-            .collect();
+        let bad = folded(&grid, &places);
         if round == 1 {
             mended = bad.len() as u64;
         }
@@ -124,6 +122,27 @@ fn meet(places: &mut [Point], targets: &[Aim], cancelled: &dyn Fn() -> bool) -> 
         has_moved = true;
     }
     Some(has_moved)
+}
+
+/// The cells of which a corner is folded, or nearly.
+fn folded(grid: &Grid, places: &[Point]) -> Vec<[u32; 2]> {
+    let lines: Vec<&[Point]> = places.chunks_exact(grid.columns() as usize).collect();
+    let widths: Vec<f64> = (0..grid.columns() - 1)
+        .map(|i| size(grid, [i, 0])[0])
+        .collect();
+    let mut folded = Vec::new();
+    for (j, lines) in (0..).zip(lines.windows(2)) {
+        let least = LEAST_CORNER * size(grid, [0, j])[1];
+        let sides = lines[0].windows(2).zip(lines[1].windows(2)).zip(&widths);
+        folded.extend((0..).zip(sides).filter_map(|(i, ((above, below), width))| {
+            let [a, b, c, d] = [above[0], above[1], below[1], below[0]];
+            let turns = Orientation::turns([b - a, c - b, c - d, d - a]);
+            // All four, without a branch between them.
+            let is_folded = turns.map(|turn| turn <= least * width);
+            (is_folded[0] | is_folded[1] | is_folded[2] | is_folded[3]).then_some([i, j])
+        }));
+    }
+    folded
 }
 
 fn cells(grid: &Grid) -> impl Iterator<Item = [u32; 2]> + use<> {

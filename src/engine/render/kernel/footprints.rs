@@ -63,7 +63,7 @@ pub(in crate::render) struct FootprintGrid {
 #[derive(Debug, Default)]
 pub(in crate::render) struct FootprintBatch {
     /// Pixels in marked cells, which are not looked at yet.
-    waiting: Box<Waiting>,
+    waiting: Box<WaitingPixels>,
     /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the
     /// image itself, then the others.
     pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
@@ -81,7 +81,7 @@ impl FootprintBatch {
 /// Pixels in marked cells, across runs and rows: a run has 18 on average, and passes over so few
 /// mostly consist of their ends.
 #[derive(Debug)]
-struct Waiting {
+struct WaitingPixels {
     len: usize,
     /// Their indices in the band.
     pixels: [usize; 2 * GROUP_PIXELS],
@@ -89,7 +89,7 @@ struct Waiting {
     jacobians: [[f32; 4]; 2 * GROUP_PIXELS],
 }
 
-impl Default for Waiting {
+impl Default for WaitingPixels {
     fn default() -> Self {
         Self {
             len: 0,

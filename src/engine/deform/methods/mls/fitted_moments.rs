@@ -1,8 +1,7 @@
 //! From the sums over all points at a few vertices to the displacements there: equations (5) to (8)
 //! of means and second moments.
 
-use crate::deform::form::{CoefficientForm, UNDEFINED_ROTATION};
-use crate::deform::tiles::TILE_LANES;
+use crate::deform::form::MotionLanes;
 use crate::geometry::Vec2;
 
 /// Sums over the points: of w, w p, w d, and the second moments that similarities and affine maps
@@ -14,23 +13,28 @@ pub(super) const AFFINE_SUMS: usize = 12;
 const MOST_CANCELLED: f64 = 1e12;
 const MOST_CANCELLED_PX: f64 = 3e7;
 
-/// The displacements of some vertices beyond the common one, |m| (rigid) or 1, and whether the sums
-/// were precise.
-pub(super) struct FittedLanes {
-    pub(super) x: [f64; TILE_LANES],
-    pub(super) y: [f64; TILE_LANES],
-    pub(super) m: [f64; TILE_LANES],
-    pub(super) is_precise: [bool; TILE_LANES],
+/// What the weight of a point at `p` with the displacement `d` is multiplied by: 1, p, d, |p|^2,
+/// conj(p) d.
+pub(super) fn similarity_factors(p: Vec2, d: Vec2) -> [f64; SIMILARITY_SUMS] {
+    [1.0, p.x, p.y, d.x, d.y, p.norm2(), p.dot(d), p.cross(d)]
+}
+
+/// 1, p, d, x x, x y, y y, x d, y d.
+pub(super) fn affine_factors(p: Vec2, d: Vec2) -> [f64; AFFINE_SUMS] {
+    let [px, py] = [d * p.x, d * p.y];
+    let [xx, xy, yy] = [p.x * p.x, p.x * p.y, p.y * p.y];
+    [1.0, p.x, p.y, d.x, d.y, xx, xy, yy, px.x, px.y, py.x, py.y]
+}
+
+/// How some vertices move beyond the common displacement, and whether the sums were precise.
+pub(super) struct FittedLanes<const N: usize> {
+    pub(super) motion: MotionLanes<N>,
+    pub(super) is_precise: [bool; N],
 }
 
 /// Sums from which vertices at some positions, from the origin, are displaced.
-pub(super) trait FittedSums {
-    fn fitted(
-        &self,
-        form: CoefficientForm,
-        x: &[f64; TILE_LANES],
-        y: &[f64; TILE_LANES],
-    ) -> FittedLanes;
+pub(super) trait FittedSums<const N: usize> {
+    fn fitted(&self, x: &[f64; N], y: &[f64; N]) -> FittedLanes<N>;
 }
 
 /// The means of one vertex, by weight, from some origin.
@@ -82,21 +86,11 @@ impl Means {
     }
 }
 
-impl FittedSums for [[f64; TILE_LANES]; SIMILARITY_SUMS] {
+impl<const N: usize> FittedSums<N> for [[f64; N]; SIMILARITY_SUMS] {
     #[inline(always)]
-    fn fitted(
-        &self,
-        form: CoefficientForm,
-        x: &[f64; TILE_LANES],
-        y: &[f64; TILE_LANES],
-    ) -> FittedLanes {
-        let mut fitted = FittedLanes {
-            x: [0.0; TILE_LANES],
-            y: [0.0; TILE_LANES],
-            m: [1.0; TILE_LANES],
-            is_precise: [false; TILE_LANES],
-        };
-        for k in 0..TILE_LANES {
+    fn fitted(&self, x: &[f64; N], y: &[f64; N]) -> FittedLanes<N> {
+        let (mut motion, mut precise) = (MotionLanes::ZERO, [false; N]);
+        for k in 0..N {
             let per_weight = 1.0 / self[0][k];
             let (px, py) = (self[1][k] * per_weight, self[2][k] * per_weight);
             let (dx, dy) = (self[3][k] * per_weight, self[4][k] * per_weight);
@@ -104,56 +98,36 @@ impl FittedSums for [[f64; TILE_LANES]; SIMILARITY_SUMS] {
             let about_origin = self[5][k] * per_weight;
             let spread = about_origin - (px * px + py * py);
             let per_spread = 1.0 / spread;
-            let (ux, uy) = (
-                (self[6][k] * per_weight - (px * dx + py * dy)) * per_spread,
-                (self[7][k] * per_weight - (px * dy - py * dx)) * per_spread,
-            );
-            fitted.is_precise[k] = is_precise((ex * ex + ey * ey).sqrt(), about_origin, spread);
-            // rho(u) of mathematics 2.3 without a branch, as in `kernel/scalar.rs`.
-            let mx = 1.0 + ux;
-            let n = (mx * mx + uy * uy).sqrt();
-            let is_ahead = mx > 0.0;
-            let more = if is_ahead { n + mx } else { 1.0 };
-            let over = if is_ahead { -(uy * uy) } else { mx - n };
-            let is_defined = n >= UNDEFINED_ROTATION;
-            let (re, im) = (
-                if is_defined { over / (more * n) } else { 0.0 },
-                if is_defined { uy / n } else { 0.0 },
-            );
-            let is_rigid = matches!(form, CoefficientForm::Rigid);
-            let (re, im) = if is_rigid { (re, im) } else { (ux, uy) };
-            fitted.m[k] = if is_rigid { n } else { 1.0 };
-            fitted.x[k] = dx + (ex * re - ey * im);
-            fitted.y[k] = dy + (ex * im + ey * re);
+            (motion.d[0][k], motion.d[1][k]) = (dx, dy);
+            (motion.e[0][k], motion.e[1][k]) = (ex, ey);
+            motion.u[0][k] = (self[6][k] * per_weight - (px * dx + py * dy)) * per_spread;
+            motion.u[1][k] = (self[7][k] * per_weight - (px * dy - py * dx)) * per_spread;
+            precise[k] = is_precise((ex * ex + ey * ey).sqrt(), about_origin, spread);
         }
-        fitted
+        FittedLanes {
+            motion,
+            is_precise: precise,
+        }
     }
 }
 
-impl FittedSums for [[f64; TILE_LANES]; AFFINE_SUMS] {
+impl<const N: usize> FittedSums<N> for [[f64; N]; AFFINE_SUMS] {
     #[inline(always)]
-    fn fitted(
-        &self,
-        _: CoefficientForm,
-        x: &[f64; TILE_LANES],
-        y: &[f64; TILE_LANES],
-    ) -> FittedLanes {
-        let mut fitted = FittedLanes {
-            x: [0.0; TILE_LANES],
-            y: [0.0; TILE_LANES],
-            m: [1.0; TILE_LANES],
-            is_precise: [false; TILE_LANES],
-        };
-        for k in 0..TILE_LANES {
+    fn fitted(&self, x: &[f64; N], y: &[f64; N]) -> FittedLanes<N> {
+        let (mut motion, mut precise) = (MotionLanes::ZERO, [false; N]);
+        for k in 0..N {
             let means = Means::of(self, k);
             let e = Vec2::new(x[k], y[k]) - means.p;
             let about_origin = (self[5][k] + self[7][k]) / self[0][k];
             let least = means.determinant() / (means.xx + means.yy);
-            fitted.is_precise[k] = is_precise(e.norm2().sqrt(), about_origin, least);
+            precise[k] = is_precise(e.norm2().sqrt(), about_origin, least);
             let d = means.affine(e);
-            (fitted.x[k], fitted.y[k]) = (d.x, d.y);
+            (motion.d[0][k], motion.d[1][k]) = (d.x, d.y);
         }
-        fitted
+        FittedLanes {
+            motion,
+            is_precise: precise,
+        }
     }
 }
 

@@ -8,6 +8,8 @@ pub(in crate::deform) mod geodesic;
 pub(in crate::deform) mod incomplete_beta;
 pub(in crate::deform) mod metric;
 pub(in crate::deform) mod moments;
+#[cfg(feature = "unfold")]
+mod posed_sums;
 mod quadrature;
 pub(in crate::deform) mod row;
 pub(in crate::deform) mod segment_moments;
@@ -19,6 +21,8 @@ use self::falloff::Falloff;
 use self::incomplete_beta::IncompleteBeta;
 use self::metric::Euclidean;
 use self::moments::MomentInputs;
+#[cfg(feature = "unfold")]
+use self::posed_sums::PosedSums;
 use self::row::RowInputs;
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
 use crate::deform::columns::{PointSource, Rank, rank};
@@ -290,6 +294,24 @@ impl PointMap for MovingLeastSquares {
             displacements,
             self.falloff,
             set.form,
+        )))
+    }
+
+    #[cfg(feature = "unfold")]
+    fn posed_once<'a>(
+        &'a self,
+        set: &'a RestSet,
+        displacements: &'a [Vec2],
+    ) -> Option<Box<dyn crate::deform::point_map::PosedOnce + 'a>> {
+        let weight = (self.falloff, self.beta.as_deref());
+        // The twelve sums of affine maps take longer than rows.
+        if set.form == CoefficientForm::Real {
+            return None;
+        }
+        Some(Box::new(PosedSums::new(
+            &set.sources,
+            displacements,
+            weight,
         )))
     }
 }

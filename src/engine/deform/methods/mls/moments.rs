@@ -9,7 +9,9 @@
 //! times the cost.
 
 use super::falloff::Falloff;
-use super::fitted_moments::{AFFINE_SUMS, FittedSums, Means, SIMILARITY_SUMS};
+use super::fitted_moments::{
+    AFFINE_SUMS, FittedSums, Means, SIMILARITY_SUMS, affine_factors, similarity_factors,
+};
 use crate::deform::IsCancelled;
 use crate::deform::columns::PointSource;
 use crate::deform::form::{CoefficientForm, rho};
@@ -120,28 +122,10 @@ impl<'a> MomentInputs<'a> {
             most_near: MOST_NEAR,
         };
         let sums = if form == CoefficientForm::Real {
-            let factors = |p: Vec2, d: Vec2| {
-                [
-                    1.0,
-                    p.x,
-                    p.y,
-                    d.x,
-                    d.y,
-                    p.x * p.x,
-                    p.x * p.y,
-                    p.y * p.y,
-                    p.x * d.x,
-                    p.x * d.y,
-                    p.y * d.x,
-                    p.y * d.y,
-                ]
-            };
-            let sources = sources(points, d, |p, d| factors(p - origin, d - shift));
+            let sources = sources(points, d, |p, d| affine_factors(p - origin, d - shift));
             MomentTiles::Affine(Tiles::new(falloff, sources, rules))
         } else {
-            let factors =
-                |p: Vec2, d: Vec2| [1.0, p.x, p.y, d.x, d.y, p.norm2(), p.dot(d), p.cross(d)];
-            let sources = sources(points, d, |p, d| factors(p - origin, d - shift));
+            let sources = sources(points, d, |p, d| similarity_factors(p - origin, d - shift));
             MomentTiles::Similar(Tiles::new(falloff, sources, rules))
         };
         Self {
@@ -176,7 +160,7 @@ impl<'a> MomentInputs<'a> {
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<[f32; 3]>>
     where
-        [[f64; TILE_LANES]; SUMS]: FittedSums,
+        [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
     {
         tiles.map(level, places, cancelled, |tile, places, out| {
             run_at(
@@ -324,7 +308,7 @@ struct TileDisplacements<'a, const SUMS: usize> {
 
 impl<const SUMS: usize> LaneWork for TileDisplacements<'_, SUMS>
 where
-    [[f64; TILE_LANES]; SUMS]: FittedSums,
+    [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
 {
     type Output = ();
 
@@ -345,10 +329,10 @@ where
             for k in 0..TILE_LANES {
                 (x[k], y[k]) = (x[k] - inputs.origin.x, y[k] - inputs.origin.y);
             }
-            let fitted = sums.fitted(inputs.form, &x, &y);
+            let fitted = sums.fitted(&x, &y);
+            let ([dx, dy], m) = fitted.motion.at(inputs.form, 1.0);
             for (k, out) in out.iter_mut().enumerate() {
-                let d = Vec2::new(fitted.x[k], fitted.y[k]);
-                *out = single(inputs.shift + d, fitted.m[k]);
+                *out = single(inputs.shift + Vec2::new(dx[k], dy[k]), m[k]);
                 if !fitted.is_precise[k] {
                     again.push(first + k);
                 }
