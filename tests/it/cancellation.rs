@@ -1,7 +1,7 @@
 //! Work that no client waits for any more, and the sets of handles that cost the most: the program
 //! is sent both, and an innocent client drags meanwhile. Its p99 and the time for which a worker
-//! stays busy after its client has left are printed beside the bar (`--nocapture`); asserted is only
-//! that the work ends long before it would be done.
+//! stays busy after its client has left are printed beside the bar (`--nocapture`). Asserted is
+//! only that the work ends long before it would be done.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
