@@ -288,7 +288,9 @@ mod tests {
             }
         }
         assert_eq!((ln(1.0), quick_ln(1.0)), (0.0, 0.0));
-        assert!(ln(0.0).is_finite() && ln(5e-324).is_finite());
+        for log in [ln, quick_ln] {
+            assert!(log(0.0).is_finite() && log(5e-324).is_finite());
+        }
     }
 
     #[test]
