@@ -880,6 +880,8 @@ async fn mistakes_with_curl_are_recognised_by_the_parts() {
     for path in [
         "photo.jpg",
         "~/Pictures/photo.png",
+        "section.tsv",
+        "slide.tif",
         "C:\\Users\\ann\\photo.jpg",
     ] {
         let parts = Form::new().text("image", path).text("warp", "{}");

@@ -79,10 +79,11 @@ const ITEM_BYTES: u64 = 1024;
 
 const NO_BOUNDARY: &str = "`Content-Type` has no valid `boundary`: do not set `Content-Type` \
     yourself; the client library adds the boundary";
-/// Extensions of the files that people send.
-const EXTENSIONS: [&str; 23] = [
-    "json", "txt", "csv", "pts", "tem", "points", "tps", "xml", "fcsv", "png", "jpg", "jpeg",
-    "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg", "psd", "pdf",
+/// Ends of the names of files that people send, beside those of the pictures that are read:
+/// landmarks and annotations, and pictures that are not read.
+const OTHER_EXTENSIONS: [&str; 17] = [
+    "json", "geojson", "txt", "csv", "tsv", "pts", "tem", "points", "tps", "xml", "fcsv", "heic",
+    "heif", "avif", "svg", "psd", "pdf",
 ];
 
 /// Reads an upload. The limit of the whole body is checked before; `warp` has a limit of its own.
@@ -411,8 +412,8 @@ fn is_url(text: &str) -> bool {
 fn is_path(text: &str) -> bool {
     let extension = text.rsplit_once('.').map_or("", |(_, extension)| extension);
     !text.contains(['{', '}', '<', '>', '"'])
-        && EXTENSIONS
-            .iter()
+        && mlswarp::format::source_extensions()
+            .chain(OTHER_EXTENSIONS)
             .any(|known| extension.eq_ignore_ascii_case(known))
 }
 
