@@ -5,8 +5,7 @@
 
 Builds the program in a folder of its own, which is removed afterwards. A change is a new time of a
 file, for which cargo compiles the same crates as for a new line in it; the next build in `target`
-compiles them again. Elapsed seconds are those of an idle machine only; seconds of a processor hardly
-depend on what else runs.
+compiles them again. Seconds of a processor depend less on what else runs than elapsed ones.
 """
 
 import os
