@@ -1,6 +1,7 @@
 //! What is known of cells of a posed grid: their vertices at several levels, and the errors there.
 
 use std::borrow::Cow;
+use std::ops::Deref;
 
 use super::subdivision_cache::group;
 
@@ -19,7 +20,7 @@ pub(super) struct MeasuredCells {
 #[derive(Debug)]
 pub(super) struct Measured {
     /// Displacements on `[2^depth + 1][2^depth + 1]`.
-    pub(super) vertices: Vec<[f32; 2]>,
+    pub(super) vertices: Lattice,
     pub(super) depth: u8,
     /// The largest error of the cell halved k times, for each k below `depth`.
     pub(super) errors: [f32; MAX_SUBDIVISION_DEPTH],
@@ -27,6 +28,45 @@ pub(super) struct Measured {
     pub(super) least: u8,
     /// The vertices are not interpolated.
     pub(super) is_exact: bool,
+}
+
+/// Vertices of a cell that is halved once.
+const HALVED_VERTICES: usize = 9;
+
+/// The vertices of a cell.
+#[derive(Debug)]
+pub(super) enum Lattice {
+    /// Not halved, or once, as most cells: without an allocation for each.
+    Small([[f32; 2]; HALVED_VERTICES], usize),
+    Large(Vec<[f32; 2]>),
+}
+
+impl Lattice {
+    fn new(len: usize) -> Self {
+        if len <= HALVED_VERTICES {
+            Self::Small([[0.0; 2]; HALVED_VERTICES], len)
+        } else {
+            Self::Large(vec![[0.0; 2]; len])
+        }
+    }
+
+    fn as_mut(&mut self) -> &mut [[f32; 2]] {
+        match self {
+            Self::Small(vertices, len) => &mut vertices[..*len],
+            Self::Large(vertices) => vertices,
+        }
+    }
+}
+
+impl Deref for Lattice {
+    type Target = [[f32; 2]];
+
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Small(vertices, len) => &vertices[..*len],
+            Self::Large(vertices) => vertices,
+        }
+    }
 }
 
 impl MeasuredCells {
@@ -61,19 +101,20 @@ impl MeasuredCells {
         &mut self.known[at].1
     }
 
-    /// Orders the cells row by row.
-    pub(super) fn sort(&mut self) {
-        self.known.sort_unstable_by_key(|(cell, _)| *cell);
-        for ((cell, _), index) in self.known.iter().zip(1..) {
-            self.index[*cell as usize] = index;
-        }
+    /// The positions of known cells in [`Self::known`], row by row.
+    pub(super) fn in_order(&self) -> impl Iterator<Item = usize> {
+        self.index
+            .iter()
+            .filter_map(|index| (*index as usize).checked_sub(1))
     }
 }
 
 impl Measured {
     pub(super) fn new(corners: [[f32; 2]; 4]) -> Self {
+        let mut vertices = Lattice::new(corners.len());
+        vertices.as_mut().copy_from_slice(&corners);
         Self {
-            vertices: corners.to_vec(),
+            vertices,
             depth: 0,
             errors: [0.0; MAX_SUBDIVISION_DEPTH],
             least: 0,
@@ -85,7 +126,8 @@ impl Measured {
     pub(super) fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
         let coarse = (1_usize << self.depth) + 1;
         let fine = 2 * coarse - 1;
-        let mut vertices = vec![[0.0; 2]; fine * fine];
+        let mut lattice = Lattice::new(fine * fine);
+        let vertices = lattice.as_mut();
         for (b, row) in self.vertices.chunks_exact(coarse).enumerate() {
             for (a, d) in row.iter().enumerate() {
                 vertices[2 * b * fine + 2 * a] = *d;
@@ -107,7 +149,7 @@ impl Measured {
             worst = worst.max(distance(*d, patch));
             vertices[b * fine + a] = *d;
         }
-        self.vertices = vertices;
+        self.vertices = lattice;
         self.errors[usize::from(self.depth)] = worst + split;
         self.depth += 1;
     }

@@ -1,8 +1,6 @@
 //! The handles in the cells of a grid: positions at which f is known, and how far a cell is from it
 //! there.
 
-use std::collections::BTreeMap;
-
 use super::measured::at_level;
 use super::{IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Grid, Subdivision, Vec2};
@@ -17,7 +15,11 @@ pub(super) struct CellSample {
 
 /// The samples of each cell.
 #[derive(Debug)]
-pub(super) struct CellSamples(BTreeMap<u32, Vec<CellSample>>);
+pub(super) struct CellSamples {
+    /// One more than the position of each cell in `by_cell`, or 0.
+    index: Vec<u32>,
+    by_cell: Vec<(u32, Vec<CellSample>)>,
+}
 
 impl CellSamples {
     /// The handles inside the grid.
@@ -27,26 +29,40 @@ impl CellSamples {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
-        let mut samples: BTreeMap<u32, Vec<CellSample>> = BTreeMap::new();
+        let mut samples = Self {
+            index: vec![0; grid.len()],
+            by_cell: Vec::new(),
+        };
         field.for_each_constraint(pose, cancelled, |p, displacement| {
             if let Some((i, j, s, t)) = grid.locate(p) {
-                samples
-                    .entry(j * (grid.columns() - 1) + i)
-                    .or_default()
-                    .push(CellSample { s, t, displacement });
+                samples.push(
+                    j * (grid.columns() - 1) + i,
+                    CellSample { s, t, displacement },
+                );
             }
         })?;
-        Some(Self(samples))
+        Some(samples)
+    }
+
+    fn push(&mut self, cell: u32, sample: CellSample) {
+        let index = &mut self.index[cell as usize];
+        if *index == 0 {
+            self.by_cell.push((cell, Vec::new()));
+            *index = u32::try_from(self.by_cell.len()).expect("fewer than the grid has");
+        }
+        self.by_cell[*index as usize - 1].1.push(sample);
     }
 
     /// Those of a cell.
     pub(super) fn of(&self, cell: u32) -> &[CellSample] {
-        self.0.get(&cell).map_or(&[], Vec::as_slice)
+        (self.index[cell as usize] as usize)
+            .checked_sub(1)
+            .map_or(&[], |at| &self.by_cell[at].1)
     }
 
     /// The cells that have some.
     pub(super) fn by_cell(&self) -> impl Iterator<Item = (u32, &[CellSample])> {
-        self.0
+        self.by_cell
             .iter()
             .map(|(cell, samples)| (*cell, samples.as_slice()))
     }

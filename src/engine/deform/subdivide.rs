@@ -21,7 +21,7 @@ use super::posed_map::PosedMap;
 use super::samples::{CellSamples, sample_error};
 use super::subdivision_cache::{Posing, SubdivisionCache, group_len};
 use super::{Pose, RestDeformation};
-use crate::geometry::{Grid, Mesh, Point, SubdividedCell, Subdivision};
+use crate::geometry::{Grid, Mesh, Orientation, Point, SubdividedCell, Subdivision};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance;
 /// they bound the error of resolved cells.
@@ -64,8 +64,8 @@ pub struct Subdivider<'a> {
     /// The largest distance between what is drawn and a cell, px of the source, which the tolerance
     /// leaves room for.
     pub drawn_within: f32,
-    /// Whether some cell of the mesh is folded.
-    pub folds: bool,
+    /// The orientation of the mesh, if some cell of it is folded.
+    pub folded: Option<Orientation>,
     /// Most vertices inside cells; cells that would need more remain over the tolerance.
     pub vertices: usize,
 }
@@ -120,6 +120,7 @@ impl Subdivider<'_> {
             samples,
             posed: PosedCells::of(mesh),
             cells: MeasuredCells::new(grid.len()),
+            levels: Vec::new(),
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
@@ -152,6 +153,8 @@ struct PoseMeasurement<'a> {
     samples: CellSamples,
     posed: PosedCells<'a>,
     cells: MeasuredCells,
+    /// How often each known cell will be halved, since [`Self::judge_edges`].
+    levels: Vec<u8>,
     /// Vertices that may still be computed.
     left: usize,
     exceeded: Vec<u32>,
@@ -201,12 +204,13 @@ impl PoseMeasurement<'_> {
                 pending.push(cell);
             }
         }
-        if self.subdivider.folds {
+        if let Some(orientation) = self.subdivider.folded {
             let columns = self.mesh.grid().columns() - 1;
             // What the second differences of a cell that is not bent leave room for.
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
             let split = ((1.0 - SUSPECT_TOLERANCE_SHARE) * self.subdivider.tolerance) as f32;
-            let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
+            let folded = self.mesh.folded_against(orientation);
+            let folded = folded.into_iter().map(|(i, j)| j * columns + i);
             // A folded cell is drawn as two triangles, not as its patch: their difference is a
             // quarter of the twist, and second differences do not show it.
             pending.extend(folded.filter(|&cell| {
@@ -435,13 +439,18 @@ impl PoseMeasurement<'_> {
                 }
             }
         }
+        self.levels = levels;
         for (cell, least) in wanted {
             let corners = self.posed.corners(cell);
             let known = self.cells.get_or_insert(cell, corners);
             if known.least < least {
                 known.least = least;
                 if known.depth < least {
+                    // Measured, and judged with all others again.
                     next.push(cell);
+                } else {
+                    let at = self.cells.position(cell).expect("is there");
+                    self.levels[at] = self.level(cell, &self.cells.known[at].1);
                 }
             }
         }
@@ -509,7 +518,7 @@ impl PoseMeasurement<'_> {
                 _ => f32::INFINITY,
             };
             if error <= self.tolerance()
-                && sample_error(samples, &known.at_level(level), level) <= self.tolerance()
+                && sample_error(samples, &known.vertices, level) <= self.tolerance()
             {
                 return Decision::Draw(level);
             }
@@ -520,10 +529,9 @@ impl PoseMeasurement<'_> {
     fn finish(mut self) -> SubdividedMesh {
         let grid = self.mesh.grid();
         let mut subdivision = Subdivision::new(self.subdivider.drawn_within);
-        self.cells.sort();
-        for (cell, known) in &self.cells.known {
-            let cell = *cell;
-            let level = self.level(cell, known);
+        for at in self.cells.in_order() {
+            let (cell, known) = &self.cells.known[at];
+            let (cell, level) = (*cell, self.levels[at]);
             if level > 0 {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
                 let mut vertices = known.at_level(level);

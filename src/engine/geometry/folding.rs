@@ -99,9 +99,22 @@ impl Mesh {
     /// Column and row of each folded cell, row by row.
     pub fn folded_cells(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let orientation = self.folding(&|| false).unwrap_or_default().orientation;
-        let (columns, rows) = (self.grid().columns() - 1, self.grid().rows() - 1);
-        let cells = (0..rows).flat_map(move |j| (0..columns).map(move |i| (i, j)));
-        cells.filter(move |&(i, j)| self.is_folded(i, j, orientation))
+        self.folded_against(orientation).into_iter()
+    }
+
+    /// Column and row of each folded cell of a mesh of this orientation, row by row.
+    #[must_use]
+    pub fn folded_against(&self, orientation: Orientation) -> Vec<(u32, u32)> {
+        let mut folded = Vec::new();
+        let all = self.each_cell(&|| false, |i, j, turns| {
+            if !orientation.is_kept(turns) {
+                folded.push((i, j));
+            }
+        });
+        all.expect("nothing cancels it");
+        // A cell that is cut has several quads.
+        folded.dedup();
+        folded
     }
 
     /// Whether a cell, or a quad of a cut one, is folded in a mesh of this orientation.

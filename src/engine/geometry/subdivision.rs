@@ -90,6 +90,11 @@ impl Subdivision {
     /// `outer(cell, edge)` is the level of an edge on the border of the grid, at most the cell's.
     pub fn join(&mut self, grid: &Grid, outer: impl Fn(&SubdividedCell, usize) -> u8) {
         let (last_column, last_row) = (grid.columns() - 2, grid.rows() - 2);
+        let at = |i: u32, j: u32| j as usize * (last_column as usize + 1) + i as usize;
+        let mut levels = vec![0; at(0, last_row + 1)];
+        for cell in &self.cells {
+            levels[at(cell.column, cell.row)] = cell.level;
+        }
         for index in 0..self.cells.len() {
             let cell = self.cells[index];
             let beyond = [
@@ -98,15 +103,14 @@ impl Subdivision {
                 cell.row == last_row,
                 cell.column == 0,
             ];
+            let (i, j) = (cell.column, cell.row);
             let beside = |edge: usize| {
-                let (i, j) = (cell.column, cell.row);
-                let (i, j) = [
-                    (i, j.wrapping_sub(1)),
-                    (i + 1, j),
-                    (i, j + 1),
-                    (i.wrapping_sub(1), j),
-                ][edge];
-                self.find(i, j).map_or(0, |other| other.level)
+                levels[match edge {
+                    0 => at(i, j - 1),
+                    1 => at(i + 1, j),
+                    2 => at(i, j + 1),
+                    _ => at(i - 1, j),
+                }]
             };
             let edges = std::array::from_fn(|edge| {
                 if beyond[edge] {

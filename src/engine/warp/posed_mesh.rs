@@ -85,9 +85,9 @@ impl PosedMesh {
             // The mesh is the map.
             return Ok(posed);
         }
-        let has_folds = posed.report.folds > 0;
+        let folded = (posed.report.folds > 0).then_some(posed.report.orientation);
         if let Some(subdivided) =
-            setup.subdivide(plan, f.as_ref(), &posed.mesh, has_folds, pose, cancelled)?
+            setup.subdivide(plan, f.as_ref(), &posed.mesh, folded, pose, cancelled)?
         {
             posed.mesh = posed.mesh.subdivided(subdivided.subdivision);
             posed.report.residual = residual(setup.field(), pose, &posed.mesh, cancelled)?;

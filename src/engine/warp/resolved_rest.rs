@@ -18,7 +18,7 @@ use crate::deform::{
     self, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, PosedMap, RestDeformation,
     SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
-use crate::geometry::{Grid, Mesh};
+use crate::geometry::{Grid, Mesh, Orientation};
 use crate::pixmap::Extent;
 use crate::topology::Mask;
 
@@ -567,7 +567,7 @@ impl ResolvedRest {
         plan: &CompiledRest,
         f: Option<&PosedMap<'_>>,
         mesh: &Mesh,
-        folds: bool,
+        folded: Option<Orientation>,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Result<Option<SubdividedMesh>, WarpError> {
@@ -581,7 +581,7 @@ impl ResolvedRest {
                 f: f.filter(|_| !deform::CoefficientTable::is_worthwhile(field)),
                 tolerance: tolerance - drawn_within,
                 drawn_within: drawn_within as f32,
-                folds,
+                folded,
                 vertices,
             };
             subdivider
