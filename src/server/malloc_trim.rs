@@ -3,21 +3,26 @@
 //! resident. With few arenas, mapped large blocks and regular trimming 41 MiB are resident. When
 //! use and freed memory together exceed the budget (`limits/freed.rs`), it is trimmed more often.
 
-use std::ffi::c_int;
+use std::ffi::{c_int, c_void};
 use std::num::NonZero;
 use std::thread;
 use std::time::Duration;
 
 use mlswarp_server::limits::freed::FREED;
+use mlswarp_server::pool::arena;
 
 /// A trim takes some milliseconds. The least time holds then.
 const TRIM_INTERVAL: Duration = Duration::from_secs(3);
 const MIN_TRIM_INTERVAL: Duration = Duration::from_millis(50);
+/// On machines with more processors than those on which long work uses the main arena only, and
+/// drags others (`pool/arena.rs`).
 const PROCESSORS_PER_ARENA: usize = 4;
+const MAX_CHOSEN: usize = 4;
 /// Larger blocks are mapped by themselves. Frames of a drag are made of smaller ones.
 const MMAP_THRESHOLD: c_int = 4 << 20;
-/// High, or a drag that frees its frame would return what its next frame takes.
-const TRIM_THRESHOLD: c_int = 64 << 20;
+/// High, or a drag that frees its frame would return what its next frame takes. But a trim leaves
+/// that much of each arena but the main one.
+const TRIM_THRESHOLD: c_int = 16 << 20;
 
 // Of `malloc.h`.
 const M_TRIM_THRESHOLD: c_int = -1;
@@ -29,12 +34,25 @@ unsafe extern "C" {
     safe fn malloc_trim(pad: usize) -> c_int;
     /// `mallopt(3)`; called before there is another thread.
     safe fn mallopt(option: c_int, value: c_int) -> c_int;
+    /// `sbrk(3)`; with 0 it changes nothing.
+    safe fn sbrk(increment: isize) -> *mut c_void;
 }
 
 /// Trims as long as the process lives. Call it first: threads create arenas.
 pub(crate) fn start() {
     let processors = thread::available_parallelism().map_or(1, NonZero::get);
-    let arenas = c_int::try_from(processors.div_ceil(PROCESSORS_PER_ARENA)).unwrap_or(c_int::MAX);
+    let is_chosen = processors <= MAX_CHOSEN;
+    if is_chosen {
+        // The main arena ends there.
+        arena::choose(sbrk(0).addr());
+    }
+    // The main one; that of the thread that trims, and of drags; one for each async thread.
+    let arenas = if is_chosen {
+        2 + processors.div_ceil(2)
+    } else {
+        processors.div_ceil(PROCESSORS_PER_ARENA)
+    };
+    let arenas = c_int::try_from(arenas).unwrap_or(c_int::MAX);
     // Without these options the service uses more memory.
     let _ = (
         mallopt(M_ARENA_MAX, arenas),
@@ -52,5 +70,32 @@ pub(crate) fn start() {
     };
     if let Err(error) = thread::Builder::new().name("heap".to_owned()).spawn(trims) {
         tracing::warn!(%error, "memory that is freed is not given back");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+    use std::sync::mpsc::channel;
+
+    use mlswarp_server::pool::arena::{Arena, spawn};
+
+    use super::*;
+
+    #[test]
+    fn long_work_and_drags_allocate_from_arenas_apart() -> io::Result<()> {
+        start();
+        let (tells, told) = channel();
+        for arena in [Arena::Main, Arena::Other].repeat(6) {
+            let tells = tells.clone();
+            spawn("test", arena, move || {
+                _ = tells.send(arena.is_of_this_thread());
+            })?;
+        }
+        drop(tells);
+        // On a large machine the arenas are shared.
+        let processors = thread::available_parallelism()?.get();
+        assert!(processors > MAX_CHOSEN || told.iter().all(|is_apart| is_apart));
+        Ok(())
     }
 }

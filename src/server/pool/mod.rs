@@ -6,6 +6,7 @@
 //! before.
 
 mod admission;
+pub mod arena;
 mod queue;
 mod worker_threads;
 
@@ -19,6 +20,7 @@ use tokio::sync::oneshot;
 
 pub use admission::Load;
 use admission::{AdmissionPermit, AdmissionQueue};
+use arena::Arena;
 pub use queue::QueueKey;
 use worker_threads::{WorkerThreads, lower_priority};
 
@@ -206,18 +208,22 @@ impl Pool {
         } = shape;
         let parallel = ThreadPoolBuilder::new()
             .num_threads(workers)
-            .thread_name(|i| format!("parallel-{i}"))
-            .start_handler(|_| lower_priority(UPLOAD_NICENESS))
+            .spawn_handler(|thread| {
+                arena::spawn(&format!("parallel-{}", thread.index()), Arena::Main, || {
+                    lower_priority(UPLOAD_NICENESS);
+                    thread.run();
+                })
+            })
             // Without a handler, a panic that reaches a rayon thread aborts the process.
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let threads = |name: &str, niceness: i32| {
-            WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness)
+        let threads = |name: &str, niceness: i32, arena: Arena| {
+            WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness, arena)
                 .map_err(|e| NoThreads(e.to_string()))
         };
         let drags = AdmissionQueue::new(
-            threads("drag", 0)?,
+            threads("drag", 0, Arena::Other)?,
             workers,
             queue,
             drag_wait,
@@ -226,7 +232,7 @@ impl Pool {
         );
         Ok(Self {
             uploads: AdmissionQueue::new(
-                threads("upload", UPLOAD_NICENESS)?,
+                threads("upload", UPLOAD_NICENESS, Arena::Main)?,
                 workers,
                 queue,
                 upload_wait,

@@ -9,6 +9,8 @@ use std::thread::Thread;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
+use super::arena::{Arena, spawn};
+
 type Job = Box<dyn FnOnce() + Send>;
 
 /// Compute threads; they end when this is dropped, after the queued jobs. The default has none.
@@ -17,6 +19,7 @@ pub(crate) struct WorkerThreads {
     state: Arc<WorkerState>,
     name: String,
     niceness: i32,
+    arena: Arena,
     /// Threads that work, and those beyond them that have been started in the place of sleeping
     /// ones.
     threads: usize,
@@ -61,11 +64,17 @@ impl JobQueue {
 impl WorkerThreads {
     /// Starts `threads` threads with this name and niceness (0 to 19; Linux only).
     /// Errors: The operating system refused to start a thread.
-    pub(crate) fn start(name: &str, threads: usize, niceness: i32) -> Result<Self, std::io::Error> {
+    pub(crate) fn start(
+        name: &str,
+        threads: usize,
+        niceness: i32,
+        arena: Arena,
+    ) -> Result<Self, std::io::Error> {
         let started = Self {
             state: Arc::default(),
             name: name.to_owned(),
             niceness,
+            arena,
             threads,
             more: Mutex::default(),
         };
@@ -75,12 +84,10 @@ impl WorkerThreads {
 
     fn start_one(&self, index: usize) -> Result<(), std::io::Error> {
         let (state, niceness) = (Arc::clone(&self.state), self.niceness);
-        let thread = std::thread::Builder::new().name(format!("{}-{index}", self.name));
-        thread.spawn(move || {
+        spawn(&format!("{}-{index}", self.name), self.arena, move || {
             lower_priority(niceness);
             state.run();
-        })?;
-        Ok(())
+        })
     }
 
     /// Makes sure that this number of threads may sleep in the middle of their jobs, and as many as
@@ -198,7 +205,7 @@ mod tests {
 
     #[test]
     fn jobs_handed_over_together_run_together() {
-        let threads = WorkerThreads::start("test", 3, 0).unwrap();
+        let threads = WorkerThreads::start("test", 3, 0, Arena::Other).unwrap();
         for _ in 0..50 {
             let meet = Arc::new(Barrier::new(4));
             for _ in 0..3 {
@@ -219,7 +226,7 @@ mod tests {
     #[test]
     fn a_thread_that_does_not_work_sleeps_and_each_job_wakes_one() {
         let nothing = || -> Job { Box::new(|| ()) };
-        let threads = WorkerThreads::start("test", 3, 0).unwrap();
+        let threads = WorkerThreads::start("test", 3, 0, Arena::Other).unwrap();
         let state = &threads.state;
         for _ in 0..20 {
             wait_for_sleepers(&threads, 3);
@@ -236,7 +243,7 @@ mod tests {
 
     #[test]
     fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
-        let threads = WorkerThreads::start("test", 1, 0).unwrap();
+        let threads = WorkerThreads::start("test", 1, 0, Arena::Other).unwrap();
         let (done, order) = channel();
         for k in 0..20 {
             let done = done.clone();
@@ -255,7 +262,7 @@ mod tests {
     #[test]
     fn a_dismissed_pool_does_what_it_was_given_and_ends() {
         let (done, all) = channel();
-        let threads = WorkerThreads::start("test", 2, 0).unwrap();
+        let threads = WorkerThreads::start("test", 2, 0, Arena::Other).unwrap();
         for _ in 0..10 {
             let done = done.clone();
             threads.submit(Box::new(move || done.send(()).unwrap()));

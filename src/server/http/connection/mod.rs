@@ -46,15 +46,17 @@ pub fn run(config: Config) -> io::Result<()> {
         .worker_threads(threads)
         .enable_all()
         .build()?;
-    let ended = runtime.block_on(async {
+    // Not on this thread, whose allocations would wait for those of long work (`pool/arena.rs`).
+    let serving = runtime.spawn(async {
         let listener = listen(config.listen)?;
         let app = App::new(config).map_err(io::Error::other)?;
         let stop = stop_signal(&app)?;
         serve(app, listener, stop).await
     });
+    let ended = runtime.block_on(serving).map_err(io::Error::other);
     // Only tasks of clients that were cut off are left.
     runtime.shutdown_timeout(Duration::from_millis(100));
-    ended
+    ended?
 }
 
 /// Binds an address.
