@@ -71,11 +71,13 @@ impl Means {
         }
     }
 
+    #[inline(always)]
     pub(super) fn determinant(&self) -> f64 {
         self.xx * self.yy - self.xy * self.xy
     }
 
     /// The affine map at e, beyond e.
+    #[inline(always)]
     pub(super) fn affine(&self, e: Vec2) -> Vec2 {
         let determinant = self.determinant();
         let (across, down) = (

@@ -18,6 +18,8 @@ mod segments;
 use std::sync::Arc;
 
 use self::falloff::Falloff;
+#[cfg(feature = "unfold")]
+use self::fitted_moments::{affine_factors, similarity_factors};
 use self::incomplete_beta::IncompleteBeta;
 use self::metric::Euclidean;
 use self::moments::MomentInputs;
@@ -304,15 +306,13 @@ impl PointMap for MovingLeastSquares {
         displacements: &'a [Vec2],
     ) -> Option<Box<dyn crate::deform::point_map::PosedOnce + 'a>> {
         let weight = (self.falloff, self.beta.as_deref());
-        // The twelve sums of affine maps take longer than rows.
-        if set.form == CoefficientForm::Real {
-            return None;
-        }
-        Some(Box::new(PosedSums::new(
-            &set.sources,
-            displacements,
-            weight,
-        )))
+        let (sources, d) = (&set.sources, displacements);
+        Some(match set.form {
+            CoefficientForm::Real => Box::new(PosedSums::new(sources, d, weight, affine_factors)),
+            CoefficientForm::Complex | CoefficientForm::Rigid => {
+                Box::new(PosedSums::new(sources, d, weight, similarity_factors))
+            }
+        })
     }
 }
 
