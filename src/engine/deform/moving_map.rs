@@ -14,8 +14,8 @@ use crate::geometry::{Point, Vec2};
 use crate::level::SimdLevel;
 use crate::parallel::prelude::*;
 
-/// Blocks of positions that one task maps.
-const BLOCKS_PER_TASK: usize = 32;
+/// Positions that one task maps.
+const TASK: usize = 32 * LANES;
 
 /// f of one pose, as precise as what is drawn.
 #[derive(Debug)]
@@ -41,56 +41,60 @@ impl<'a> MovingMap<'a> {
         places: &[Point],
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<MotionLanes<TILE_LANES>>> {
-        let tasks = places.par_chunks(LANES * BLOCKS_PER_TASK);
-        let motions = |places: &[Point]| self.motions_of_task(places, cancelled);
-        let parts: Option<Vec<_>> = tasks.map(motions).collect();
-        Some(parts?.concat())
+        let mut motions = vec![MotionLanes::ZERO; places.len().div_ceil(TILE_LANES)];
+        let tasks = places.par_chunks(TASK);
+        let tasks = tasks.zip(motions.par_chunks_mut(TASK / TILE_LANES));
+        tasks.try_for_each_init(
+            || (),
+            |(), (places, motions)| self.put_motions(places, motions, cancelled),
+        )?;
+        Some(motions)
     }
 
-    /// f at many positions. In parallel on the current pool; `None` when cancelled.
-    pub(super) fn map_all(
-        &self,
-        places: &[Point],
-        cancelled: IsCancelled<'_>,
-    ) -> Option<Vec<Point>> {
+    /// Replaces positions by f of them. In parallel on the current pool; `None` when cancelled.
+    pub(super) fn map_all(&self, places: &mut [Point], cancelled: IsCancelled<'_>) -> Option<()> {
         let form = self.field.form();
-        let tasks = places.par_chunks(LANES * BLOCKS_PER_TASK);
-        let map = |places: &[Point]| {
-            let motions = self.motions_of_task(places, cancelled)?;
-            let way = Motions {
-                form,
-                places,
-                motions: &motions,
-            };
-            Some(way.at(1.0, 0..places.len()))
-        };
-        let parts: Option<Vec<_>> = tasks.map(map).collect();
-        Some(parts?.concat())
+        let tasks = places.par_chunks_mut(TASK);
+        // Memory that is taken once takes no faults.
+        tasks.try_for_each_init(
+            || (vec![MotionLanes::ZERO; TASK / TILE_LANES], Vec::new()),
+            |(motions, moved), places| {
+                let motions = &mut motions[..places.len().div_ceil(TILE_LANES)];
+                self.put_motions(places, motions, cancelled)?;
+                let way = Motions {
+                    form,
+                    places,
+                    motions,
+                };
+                way.at(1.0, 0..places.len(), moved);
+                places.copy_from_slice(moved);
+                Some(())
+            },
+        )
     }
 
-    fn motions_of_task(
+    fn put_motions(
         &self,
         places: &[Point],
+        motions: &mut [MotionLanes<TILE_LANES>],
         cancelled: IsCancelled<'_>,
-    ) -> Option<Vec<MotionLanes<TILE_LANES>>> {
-        let mut motions = Vec::with_capacity(places.len().div_ceil(TILE_LANES));
+    ) -> Option<()> {
         let between = LANES * (COLUMNS_BETWEEN_CHECKS / self.plain.columns().max(1)).max(1);
-        for places in places.chunks(between) {
+        let parts = places.chunks(between);
+        for (places, motions) in parts.zip(motions.chunks_mut(between / TILE_LANES)) {
             if cancelled() {
                 return None;
             }
-            let first = motions.len();
             let left = match &self.sums {
-                Some(sums) => sums.motions(places, &mut motions),
+                Some(sums) => sums.motions(places, motions),
                 None => {
-                    let blocks = places.len().div_ceil(TILE_LANES);
-                    motions.resize(first + blocks, MotionLanes::ZERO);
+                    motions.fill(MotionLanes::ZERO);
                     (0..places.len()).collect()
                 }
             };
-            self.put_rows(&left, places, &mut motions[first..]);
+            self.put_rows(&left, places, motions);
         }
-        Some(motions)
+        Some(())
     }
 
     /// The same by rows, at some of the positions.
@@ -121,14 +125,16 @@ pub(super) struct Motions<'a> {
 }
 
 impl Motions<'_> {
-    /// Where some of them are after a share of the way.
-    pub(super) fn at(self, share: f64, range: Range<usize>) -> Vec<Point> {
+    /// Where some of them are after a share of the way, instead of what `moved` has.
+    pub(super) fn at(self, share: f64, range: Range<usize>, moved: &mut Vec<Point>) {
+        moved.clear();
         let work = Moved {
             motions: self,
             share,
             range,
+            moved,
         };
-        run_at(SimdLevel::detect(), work)
+        run_at(SimdLevel::detect(), work);
     }
 }
 
@@ -136,19 +142,19 @@ struct Moved<'a> {
     motions: Motions<'a>,
     share: f64,
     range: Range<usize>,
+    moved: &'a mut Vec<Point>,
 }
 
 impl LaneWork for Moved<'_> {
-    type Output = Vec<Point>;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Vec<Point> {
+    fn run(self) {
         let Motions {
             form,
             places,
             motions,
         } = self.motions;
-        let mut moved = Vec::with_capacity(self.range.len());
         let mut first = self.range.start;
         while first < self.range.end {
             let (block, lane) = (first / TILE_LANES, first % TILE_LANES);
@@ -156,9 +162,9 @@ impl LaneWork for Moved<'_> {
             let ([x, y], _) = motions[block].at(form, self.share);
             let each = x[lane..].iter().zip(&y[lane..]);
             let each = places[first..end].iter().zip(each);
-            moved.extend(each.map(|(place, (x, y))| *place + Vec2::new(*x, *y)));
+            let each = each.map(|(place, (x, y))| *place + Vec2::new(*x, *y));
+            self.moved.extend(each);
             first = end;
         }
-        moved
     }
 }

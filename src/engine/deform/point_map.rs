@@ -134,9 +134,9 @@ pub(super) trait PosedWithoutCoefficients:
 
 /// f of one pose at any share of the way of its handles, for positions that are used once.
 pub(super) trait PosedOnce: fmt::Debug + Send + Sync {
-    /// Appends the motion of every position, a block after the other. Returns the indices of those
-    /// that are not precise, and need their rows.
-    fn motions(&self, places: &[Point], out: &mut Vec<MotionLanes<TILE_LANES>>) -> Vec<usize>;
+    /// The motion of every position, a block after the other. Returns the indices of those that are
+    /// not precise, and need their rows.
+    fn motions(&self, places: &[Point], out: &mut [MotionLanes<TILE_LANES>]) -> Vec<usize>;
 }
 
 /// A map whose value is known at any position.

@@ -1,5 +1,5 @@
 //! The lattice on which a factor is examined: larger than the image, so that what lies outside
-//! stays open too.
+//! stays open too, in cells that are twice as wide there.
 
 use std::ops::Range;
 
@@ -17,41 +17,98 @@ const CELLS: f64 = 50.0;
 const CELL_SIDES: [f64; 2] = [4.0, 10.0];
 /// Cells along a side at most: those of an image of 16,384 px are larger.
 const MOST_CELLS: f64 = 400.0;
+/// The side of a cell outside of the image, in those within it.
+const OUTSIDE: usize = 2;
+/// Cells whose corners are looked at together.
+const CELL_LANES: usize = 8;
 
 pub(super) struct ControlLattice {
-    columns: usize,
     places: Vec<Point>,
-    /// Of a cell, px^2.
-    area: f64,
+    rows: Vec<CellRow>,
+}
+
+/// A row of cells: its vertices above and below, and the side of a cell, px.
+struct CellRow {
+    lines: [Range<usize>; 2],
+    side: f64,
+}
+
+/// The lattice along an axis, in cells of those within the image.
+struct Axis {
+    first: f64,
+    cells: usize,
+    /// What the image covers, up to whole cells of those outside.
+    image: Range<usize>,
+}
+
+impl Axis {
+    fn new(length: f64, side: f64) -> Self {
+        let first = -BORDER_SHARE * length;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "at most some hundreds"
+        )]
+        let count = |length: f64| (length / side / OUTSIDE as f64).max(0.0) as usize * OUTSIDE;
+        let up_to = |length: f64| count(length - 0.5 * side) + OUTSIDE;
+        Self {
+            first,
+            cells: up_to(length * (1.0 + 2.0 * BORDER_SHARE)),
+            image: count(-first)..up_to(length - first),
+        }
+    }
+}
+
+/// The parts of a lattice: above and below the image, left and right of it, and its own: cells
+/// across and down, and how many cells of the image one is wide.
+fn parts(across: &Axis, down: &Axis) -> impl Iterator<Item = ([Range<usize>; 2], usize)> {
+    let [x, y] = [&across.image, &down.image];
+    let parts = [
+        ([0..across.cells, 0..y.start], OUTSIDE),
+        ([0..across.cells, y.end..down.cells], OUTSIDE),
+        ([0..x.start, y.clone()], OUTSIDE),
+        ([x.end..across.cells, y.clone()], OUTSIDE),
+        ([x.clone(), y.clone()], 1),
+    ];
+    let has_cells =
+        |part: &([Range<usize>; 2], usize)| part.0.iter().all(|cells| !cells.is_empty());
+    parts.into_iter().filter(has_cells)
 }
 
 impl ControlLattice {
     /// For an image of this size, px.
     pub(super) fn new(width: f64, height: f64) -> Self {
         let side = side_of(width, height);
-        let lines = |length: f64| {
-            let cells = cells_along(length, side);
-            let positions = (0..=u32::MAX)
-                .map(f64::from)
-                .take_while(move |k| *k <= cells);
-            positions.map(move |k| k * side - BORDER_SHARE * length)
-        };
-        let columns = lines(width).count();
-        let row = |y: f64| lines(width).map(move |x| Point::new(x, y));
-        Self {
-            columns,
-            places: lines(height).flat_map(row).collect(),
-            area: side * side,
+        let (across, down) = (Axis::new(width, side), Axis::new(height, side));
+        let (mut places, mut rows) = (Vec::new(), Vec::new());
+        let at = |axis: &Axis, k: usize| axis.first + k as f64 * side;
+        for ([x, y], wide) in parts(&across, &down) {
+            let mut above: Option<Range<usize>> = None;
+            for j in (y.start..=y.end).step_by(wide) {
+                let first = places.len();
+                let columns = (x.start..=x.end).step_by(wide);
+                places.extend(columns.map(|i| Point::new(at(&across, i), at(&down, j))));
+                let below = first..places.len();
+                if let Some(above) = above {
+                    rows.push(CellRow {
+                        lines: [above, below.clone()],
+                        side: side * wide as f64,
+                    });
+                }
+                above = Some(below);
+            }
         }
+        Self { places, rows }
     }
 
     /// The number of vertices of one of this size.
     pub(super) fn count(width: f64, height: f64) -> u64 {
         let side = side_of(width, height);
-        let lines = |length: f64| {
-            (0..=u64::MAX).take_while(move |k| *k as f64 <= cells_along(length, side))
-        };
-        (lines(width).count() * lines(height).count()) as u64
+        let (across, down) = (Axis::new(width, side), Axis::new(height, side));
+        let vertices = |cells: &Range<usize>, wide: usize| (cells.len() / wide + 1) as u64;
+        parts(&across, &down)
+            .map(|([x, y], wide)| vertices(&x, wide) * vertices(&y, wide))
+            .sum()
     }
 
     pub(super) const fn len(&self) -> u64 {
@@ -63,24 +120,28 @@ impl ControlLattice {
     }
 
     /// Rows of cells.
-    pub(super) fn rows(&self) -> usize {
-        self.places.len() / self.columns - 1
+    pub(super) const fn rows(&self) -> usize {
+        self.rows.len()
     }
 
-    /// The vertices of a line above or below cells.
-    pub(super) const fn line(&self, line: usize) -> Range<usize> {
-        line * self.columns..(line + 1) * self.columns
+    /// The vertices above and below the cells of a row.
+    pub(super) fn lines(&self, row: usize) -> [Range<usize>; 2] {
+        self.rows[row].lines.clone()
     }
 
     /// Whether every corner keeps its share.
     pub(super) fn is_open(&self, mapped: &[Point]) -> bool {
-        let is_closed = |row| self.is_closed(&mapped[self.line(row)], &mapped[self.line(row + 1)]);
+        let is_closed = |row| {
+            let [above, below] = self.lines(row);
+            self.is_closed(row, &mapped[above], &mapped[below])
+        };
         !(0..self.rows()).any(is_closed)
     }
 
-    /// Whether a corner of the row of cells between two lines does not keep its share.
-    pub(super) fn is_closed(&self, above: &[Point], below: &[Point]) -> bool {
-        let least = LEAST_CORNER * self.area;
+    /// Whether a corner of a row of cells does not keep its share.
+    pub(super) fn is_closed(&self, row: usize, above: &[Point], below: &[Point]) -> bool {
+        let side = self.rows[row].side;
+        let least = LEAST_CORNER * (side * side);
         let work = ClosedRow {
             above,
             below,
@@ -89,33 +150,24 @@ impl ControlLattice {
         run_at(SimdLevel::detect(), work)
     }
 
-    /// The largest share of these displacements, up to 1, with which every corner keeps its share.
-    pub(super) fn longest(&self, displacements: &[Vec2]) -> f64 {
-        let spare = self.area * (1.0 - LEAST_CORNER);
-        let side = self.area.sqrt();
-        let mut longest = 1.0_f64;
-        for row in 0..self.rows() {
-            let (above, below) = (
-                &displacements[self.line(row)],
-                &displacements[self.line(row + 1)],
-            );
-            let losing = LosingRow {
-                above,
-                below,
-                side,
-                least: -spare / longest,
+    /// The largest share of the way to these positions, up to 1, with which every corner keeps its
+    /// share, if displacements are proportional to it.
+    pub(super) fn longest(&self, mapped: &[Point]) -> f64 {
+        let mut longest = 1.0;
+        let (mut above, mut below) = (Vec::new(), Vec::new());
+        for row in &self.rows {
+            for (line, displaced) in row.lines.iter().zip([&mut above, &mut below]) {
+                displaced.clear();
+                let pairs = mapped[line.clone()].iter().zip(&self.places[line.clone()]);
+                displaced.extend(pairs.map(|(mapped, v)| *mapped - *v));
+            }
+            let work = FirstRoots {
+                above: &above,
+                below: &below,
+                side: row.side,
                 longest,
             };
-            if !run_at(SimdLevel::detect(), losing) {
-                continue;
-            }
-            for (above, below) in above.windows(2).zip(below.windows(2)) {
-                for [linear, square] in losses([above[0], above[1], below[1], below[0]], side) {
-                    // The first share at which the corner has no more to spare.
-                    let first = first_root([spare, linear, square]);
-                    longest = longest.min(first);
-                }
-            }
+            longest = run_at(SimdLevel::detect(), work);
         }
         longest
     }
@@ -161,34 +213,56 @@ impl LaneWork for ClosedRow<'_> {
     }
 }
 
-/// Whether a corner of a row of cells may lose all that it has to spare within the share `longest`
-/// of these displacements: most lose less, which needs no root.
-struct LosingRow<'a> {
+/// The largest share of these displacements, up to `longest`, with which every corner of a row of
+/// cells keeps its share.
+struct FirstRoots<'a> {
     above: &'a [Vec2],
     below: &'a [Vec2],
     side: f64,
-    least: f64,
     longest: f64,
 }
 
-impl LaneWork for LosingRow<'_> {
-    type Output = bool;
+impl LaneWork for FirstRoots<'_> {
+    type Output = f64;
 
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "loops over lanes are written alike, whatever they index"
+    )]
     #[inline(always)]
-    fn run(self) -> bool {
+    fn run(self) -> f64 {
         let (above, below) = (self.above, self.below);
         let cells = above.len().min(below.len()) - 1;
         let (above, below) = (&above[..=cells], &below[..=cells]);
+        let spare = self.side * self.side * (1.0 - LEAST_CORNER);
+        let least = -spare / self.longest;
         let negative = |value: f64| if value < 0.0 { value } else { 0.0 };
-        let mut is_losing = false;
-        for k in 0..cells {
-            let corners = [above[k], above[k + 1], below[k + 1], below[k]];
-            for [linear, square] in losses(corners, self.side) {
-                let lost = negative(linear) + negative(square) * self.longest;
-                is_losing |= lost <= self.least;
+        let mut first = [self.longest; CELL_LANES];
+        for start in (0..cells).step_by(CELL_LANES) {
+            // The last cells are looked at with some of those before.
+            let start = start.min(cells.saturating_sub(CELL_LANES));
+            let mut each = [[[0.0; 2]; 4]; CELL_LANES];
+            let mut is_losing = false;
+            for k in 0..CELL_LANES {
+                let cell = (start + k).min(cells - 1);
+                let corners = [above[cell], above[cell + 1], below[cell + 1], below[cell]];
+                each[k] = losses(corners, self.side);
+                for [linear, square] in each[k] {
+                    let lost = negative(linear) + negative(square) * self.longest;
+                    is_losing |= lost <= least;
+                }
+            }
+            // Most lose less than they have to spare, which needs no root.
+            if is_losing {
+                for k in 0..CELL_LANES {
+                    for [linear, square] in each[k] {
+                        let root = first_root([spare, linear, square]);
+                        first[k] = if root < first[k] { root } else { first[k] };
+                    }
+                }
             }
         }
-        is_losing
+        first.into_iter().fold(self.longest, f64::min)
     }
 }
 
@@ -198,18 +272,17 @@ fn side_of(width: f64, height: f64) -> f64 {
     usual.max(longest * (1.0 + 2.0 * BORDER_SHARE) / MOST_CELLS)
 }
 
-fn cells_along(length: f64, side: f64) -> f64 {
-    (length * (1.0 + 2.0 * BORDER_SHARE) / side).ceil()
-}
-
 /// The smallest positive root of `c0 + c1 s + c2 s^2`, with `c0 > 0`; infinite without one.
+#[inline(always)]
 fn first_root([c0, c1, c2]: [f64; 3]) -> f64 {
     let under = c1 * c1 - 4.0 * c2 * c0;
-    if under < 0.0 || (c1 >= 0.0 && c2 >= 0.0) {
-        return f64::INFINITY;
-    }
     // The sum of terms of one sign loses nothing; its product with the other root is c0 / c2.
     let sum = -0.5 * (c1 + under.sqrt().copysign(c1));
-    let roots = [sum / c2, c0 / sum].into_iter();
-    roots.filter(|s| *s > 0.0).fold(f64::INFINITY, f64::min)
+    let (falls, bends) = (c1 < 0.0, c2 < 0.0);
+    let root = if falls { c0 } else { sum } / if falls { sum } else { c2 };
+    if under >= 0.0 && (falls || bends) {
+        root
+    } else {
+        f64::INFINITY
+    }
 }

@@ -163,9 +163,8 @@ impl FoldFree {
             }
             work.take(work.of_position.saturating_mul(lattice.len()))?;
             let plain = MovingMap::new(rest, pose);
-            let mapped = plain
-                .map_all(lattice.places(), cancelled)
-                .ok_or(CANCELLED)?;
+            let mut mapped = lattice.places().to_vec();
+            plain.map_all(&mut mapped, cancelled).ok_or(CANCELLED)?;
             if lattice.is_open(&mapped) {
                 return Ok(None);
             }
@@ -358,7 +357,7 @@ impl FoldFree {
         let mut mapped = places.clone();
         for step in 0..self.count() {
             let (field, pose) = self.factor(step, cancelled)?;
-            mapped = MovingMap::new(&field, &pose).map_all(&mapped, cancelled)?;
+            MovingMap::new(&field, &pose).map_all(&mut mapped, cancelled)?;
         }
         let mapped = self.moved(mapped);
         #[expect(

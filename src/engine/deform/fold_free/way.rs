@@ -5,7 +5,6 @@ use super::path::{HandlePlaces, handles_like};
 use super::{CANCELLED, FoldFreeError, ProductWork};
 use crate::deform::moving_map::{Motions, MovingMap};
 use crate::deform::{CoefficientForm, Handle, IsCancelled, RestDeformation};
-use crate::geometry::Vec2;
 
 /// Bisections for the share of the way of a rotation, whose displacements are not linear in it.
 const BISECTIONS: u32 = 9;
@@ -30,23 +29,35 @@ impl Way<'_> {
         let pose = self.field.pose(&handles_like(self.form, self.target))?;
         work.take(work.of_position.saturating_mul(lattice.len()))?;
         let way = MovingMap::new(self.field, &pose);
+        if form != CoefficientForm::Rigid {
+            work.take(lattice.len())?;
+            let mut mapped = places.to_vec();
+            way.map_all(&mut mapped, cancelled).ok_or(CANCELLED)?;
+            return Ok(lattice.longest(&mapped));
+        }
         let motions = &way.motions(places, cancelled).ok_or(CANCELLED)?;
         let motions = Motions {
             form,
             places,
             motions,
         };
+        let (mut above, mut below) = (Vec::new(), Vec::new());
         let mut closed_rows = |share: f64, among: &[usize]| -> Result<Vec<usize>, FoldFreeError> {
             work.take(lattice.len())?;
             if cancelled() {
                 return Err(CANCELLED.into());
             }
-            let line = |line: usize| motions.at(share, lattice.line(line));
-            let (mut closed, mut below) = (Vec::new(), (usize::MAX, Vec::new()));
+            let (mut closed, mut line) = (Vec::new(), 0..0);
             for row in among {
-                let above = if below.0 == *row { below.1 } else { line(*row) };
-                below = (row + 1, line(row + 1));
-                if lattice.is_closed(&above, &below.1) {
+                let [above_line, below_line] = lattice.lines(*row);
+                if line == above_line {
+                    std::mem::swap(&mut above, &mut below);
+                } else {
+                    motions.at(share, above_line, &mut above);
+                }
+                motions.at(share, below_line.clone(), &mut below);
+                line = below_line;
+                if lattice.is_closed(*row, &above, &below) {
                     closed.push(*row);
                 }
             }
@@ -56,12 +67,6 @@ impl Way<'_> {
         let closed = closed_rows(1.0, &all)?;
         if closed.is_empty() {
             return Ok(1.0);
-        }
-        if form != CoefficientForm::Rigid {
-            let whole = motions.at(1.0, 0..places.len());
-            let pairs = whole.iter().zip(places);
-            let displacements: Vec<Vec2> = pairs.map(|(mapped, v)| *mapped - *v).collect();
-            return Ok(lattice.longest(&displacements));
         }
         let mut search = |mut among: Vec<usize>, forgets: bool| -> Result<f64, FoldFreeError> {
             let (mut low, mut high) = (0.0, 1.0);

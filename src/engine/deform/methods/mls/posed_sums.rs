@@ -180,7 +180,7 @@ fn plus_four(sums: &mut [[f64; TILE_LANES]], factors: &[f64], lanes: [f64; TILE_
 struct SumsAtPlaces<'a, const SUMS: usize> {
     sums: &'a PosedSums<'a, SUMS>,
     places: &'a [Point],
-    out: &'a mut Vec<MotionLanes<TILE_LANES>>,
+    out: &'a mut [MotionLanes<TILE_LANES>],
 }
 
 impl<const SUMS: usize> LaneWork for SumsAtPlaces<'_, SUMS>
@@ -192,20 +192,17 @@ where
     #[inline(always)]
     fn run(self) -> Vec<usize> {
         let (origin, mut imprecise) = (self.sums.origin, Vec::new());
-        for (first, places) in (0..).step_by(LANES).zip(self.places.chunks(LANES)) {
+        let blocks = self.places.chunks(LANES).zip(self.out.chunks_mut(2));
+        for (first, (places, out)) in (0..).step_by(LANES).zip(blocks) {
             let v = gather(|lane| places[lane.min(places.len() - 1)]);
             let sums = self.sums.sums(&v);
-            for (half, sums) in sums
-                .iter()
-                .take(places.len().div_ceil(TILE_LANES))
-                .enumerate()
-            {
+            for (half, (sums, out)) in sums.iter().zip(out).enumerate() {
                 let (mut x, mut y) = (half_of(&v.x, half), half_of(&v.y, half));
                 for k in 0..TILE_LANES {
                     (x[k], y[k]) = (x[k] - origin.x, y[k] - origin.y);
                 }
                 let fitted = sums.fitted(&x, &y);
-                self.out.push(fitted.motion);
+                *out = fitted.motion;
                 if fitted.is_precise.iter().fold(true, |all, lane| all & lane) {
                     continue;
                 }
@@ -225,14 +222,19 @@ impl<const SUMS: usize> PosedOnce for PosedSums<'_, SUMS>
 where
     [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
 {
-    fn motions(&self, places: &[Point], out: &mut Vec<MotionLanes<TILE_LANES>>) -> Vec<usize> {
-        let (sums, first) = (self, out.len());
-        let mut imprecise = run_at(SimdLevel::detect(), SumsAtPlaces { sums, places, out });
+    fn motions(&self, places: &[Point], out: &mut [MotionLanes<TILE_LANES>]) -> Vec<usize> {
+        let (sums, work_out) = (self, &mut *out);
+        let work = SumsAtPlaces {
+            sums,
+            places,
+            out: work_out,
+        };
+        let mut imprecise = run_at(SimdLevel::detect(), work);
         imprecise.retain(|index| {
             let on_handle = self.on_handle(places[*index]);
             if let Some(d) = on_handle {
-                out[first + index / TILE_LANES]
-                    .put(index % TILE_LANES, [d, Vec2::ZERO, Vec2::ZERO]);
+                let motion = [d, Vec2::ZERO, Vec2::ZERO];
+                out[index / TILE_LANES].put(index % TILE_LANES, motion);
             }
             on_handle.is_none()
         });
