@@ -47,6 +47,7 @@
 //! imports nothing.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+#![cfg_attr(optimized_for_size, feature(optimize_attribute))]
 
 /// Every formula, with its derivation and the reason for its numerical form. Comments cite its
 /// sections: "mathematics 7.1".

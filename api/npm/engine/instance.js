@@ -149,19 +149,35 @@ export class Instance {
     return this.put(utf8.encode(JSON.stringify(value)));
   }
 
+  /** @param {number} number */
+  #view(number) {
+    const [at, length] = [this.#call("address", number), this.#call("length", number)];
+    return new Uint8Array(/** @type {Exports} */ (this.#exports).memory.buffer, at, length);
+  }
+
   /**
-   * A copy of a buffer, which is freed.
+   * The numbers (u32) with which a buffer begins.
    *
    * @param {number} number
+   * @param {number} count
+   * @returns {number[]}
+   */
+  head(number, count) {
+    const { buffer, byteOffset } = this.#view(number);
+    const view = new DataView(buffer, byteOffset);
+    return Array.from({ length: count }, (_, k) => view.getUint32(4 * k, true));
+  }
+
+  /**
+   * A copy of a buffer from a byte on; the buffer is freed.
+   *
+   * @param {number} number
+   * @param {number} [from]
    * @returns {Uint8Array<ArrayBuffer>}
    */
-  take(number) {
-    const [at, length] = [this.#call("address", number), this.#call("length", number)];
-    const { buffer } = /** @type {Exports} */ (this.#exports).memory;
+  take(number, from = 0) {
     // `slice` copies: a view would change under its holder, and detach when the memory grows.
-    const bytes = /** @type {Uint8Array<ArrayBuffer>} */ (
-      new Uint8Array(buffer, at, length).slice()
-    );
+    const bytes = /** @type {Uint8Array<ArrayBuffer>} */ (this.#view(number).slice(from));
     this.free(number);
     return bytes;
   }

@@ -75,7 +75,7 @@ export function pixelsOf({ width, height, bytes }, colorSpace) {
   const space = colorSpace && { colorSpace };
   const data = new Uint8ClampedArray(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (typeof ImageData === "undefined") return { width, height, data, ...space };
-  return new ImageData(data.slice(), width, height, space);
+  return new ImageData(bytes.byteOffset ? data.slice() : data, width, height, space);
 }
 
 /** Handles that were moved. */
@@ -132,7 +132,7 @@ export class Pose extends Held {
    */
   #draw(source, output) {
     const { width, height, bytes } = this.#drawn(numberIn(inUse(this)[0], source), output);
-    return pixelsOf({ width, height, bytes: bytes.subarray(8) }, source.colorSpace);
+    return pixelsOf({ width, height, bytes }, source.colorSpace);
   }
 
   /**
@@ -141,9 +141,9 @@ export class Pose extends Held {
    */
   #drawn(subject, output) {
     const [instance, pose] = inUse(this);
-    const bytes = instance.take(instance.make("draw", pose, subject, instance.putJson({ output })));
-    const head = new DataView(bytes.buffer);
-    return { width: head.getUint32(0, true), height: head.getUint32(4, true), bytes };
+    const number = instance.make("draw", pose, subject, instance.putJson({ output }));
+    const [width, height] = instance.head(number, 2);
+    return { width, height, bytes: instance.take(number, 8) };
   }
 
   /**
@@ -165,7 +165,7 @@ export class Pose extends Held {
     const number = instance.make("labels", instance.put(data), labels.width, labels.height, bits);
     try {
       const { width, height, bytes } = this.#drawn(number, output);
-      const posed = /** @type {T["data"]} */ (new kind(bytes.buffer.slice(8)));
+      const posed = /** @type {T["data"]} */ (new kind(bytes.buffer));
       return { width, height, data: posed };
     } finally {
       instance.free(number);
@@ -180,7 +180,7 @@ export class Pose extends Held {
    */
   coverage(output = {}) {
     const { width, height, bytes } = this.#drawn(0, output);
-    return { width, height, data: bytes.slice(8) };
+    return { width, height, data: bytes };
   }
 
   /**
@@ -217,8 +217,8 @@ export class Pose extends Held {
    */
   mesh() {
     const [instance, pose] = inUse(this);
-    const { buffer } = instance.take(instance.make("mesh", pose));
-    const [columns, rows] = new Uint32Array(buffer, 0, 2);
-    return { columns, rows, xy: new Float32Array(buffer.slice(8)) };
+    const number = instance.make("mesh", pose);
+    const [columns, rows] = instance.head(number, 2);
+    return { columns, rows, xy: new Float32Array(instance.take(number, 8).buffer) };
   }
 }

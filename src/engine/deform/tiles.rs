@@ -210,7 +210,8 @@ impl<K: RadialKernel, const SUMS: usize, const NODES: usize> Tiles<K, SUMS, NODE
     }
 
     /// The polynomials of a tile.
-    #[inline(always)]
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     fn far_sums(
         &self,
         tile: &Tile<SUMS>,
@@ -425,7 +426,8 @@ pub(super) fn plus<const N: usize>(mut sum: [f64; N], factor: f64, term: [f64; N
 }
 
 /// Adds the kernel times the factors of each source.
-#[inline(always)]
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
 pub(super) fn add_sources<K: RadialKernel, const SUMS: usize>(
     kernel: K,
     sources: &[TileSource<SUMS>],

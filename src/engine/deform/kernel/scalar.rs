@@ -8,6 +8,7 @@ use super::{BlockDisplacements, CoefficientForm, CoefficientLanes, LANES, lanes_
 const UNDEFINED_ROTATION: f32 = 1e-5;
 
 /// See [`super::displace`].
+#[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
 pub(super) fn displace(
     form: CoefficientForm,
     table: &[CoefficientLanes],

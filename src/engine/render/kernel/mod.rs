@@ -1,7 +1,9 @@
 //! The inner loops of the renderer, and the selection of an instruction set. `scalar` is the
 //! reference and defines every result: f32 operations in a fixed order without fused products, and
 //! integers; so all levels give the same bytes. `avx2` compiles the scalar loops that the compiler
-//! can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells.
+//! can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells. For
+//! WebAssembly, which is compiled for size, what takes time is compiled for speed, and `simd128` has
+//! a hand-written sampler.
 //! Rejected variants: `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
@@ -25,6 +27,12 @@ mod footprints;
 mod rounding;
 #[forbid(unsafe_code)]
 mod scalar;
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+#[expect(
+    unsafe_code,
+    reason = "loads of texels at places that were clamped to the image"
+)]
+mod simd128;
 
 use std::ops::Range;
 
@@ -78,6 +86,7 @@ impl Kernel {
     }
 
     /// Poses a row of vertices and snaps it to the lattice.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn snap(
         self,
         rest_x: &[f64],
@@ -108,6 +117,7 @@ impl Kernel {
 
     /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; upright cells may also
     /// have the bit [`STEEP`].
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn soundness(self, cells: &Neighbours<'_>, soundness: &mut [u8]) {
         dispatch!(self, soundness(cells, soundness));
     }
@@ -145,6 +155,7 @@ impl Kernel {
     /// Appends the first `len` pixels, as far as they lie in marked cells, to those that wait for
     /// [`Self::shapes`]. `places`: u and v, with whole groups of [`LANES`]; `first`: index of the
     /// first pixel.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn footprints(
         self,
         grid: &FootprintGrid,
@@ -158,6 +169,7 @@ impl Kernel {
 
     /// Appends those of a group of waiting pixels that need several samples to their kinds. There
     /// must be room for as many of each kind.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn shapes(self, grid: &FootprintGrid, batch: &mut FootprintBatch) {
         dispatch!(self, shapes(grid, batch));
     }
@@ -170,6 +182,7 @@ impl Kernel {
 
     /// The positions of `2^log` samples of each pixel: the first samples of all, then the second
     /// ones.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn positions(self, alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]) {
         dispatch!(self, positions(alike, log, u, v));
     }
@@ -177,6 +190,7 @@ impl Kernel {
     /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero
     /// before the call and where nothing is crossed; meaningless for a column that crosses a row
     /// more than once.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn crossings(
         self,
         lattice: &SnappedGrid,
@@ -188,12 +202,14 @@ impl Kernel {
     }
 
     /// Coordinates along a row from the crossings of the columns.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn spans(self, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
         dispatch!(self, spans(spans, u, v));
     }
 
     /// Classifies a block of cells: the rows of the raster that they meet, and whether they are
     /// convex.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn classify(
         self,
         lattice: &SnappedGrid,
@@ -207,11 +223,13 @@ impl Kernel {
 
     /// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest
     /// and its lowest corner.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn fill(self, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
         dispatch!(self, fill(piece, rows, raster));
     }
 
     /// Bilinear samples of a run of pixels.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(super) fn sample(
         self,
         packed: &Packed,

@@ -15,6 +15,7 @@ use std::ops::Range;
 
 #[cfg(target_arch = "x86_64")]
 pub(super) use super::bilinear::blend;
+#[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
 pub(super) use super::bilinear::sample;
 pub(in crate::render) use super::bilinear::{ROUND_SAMPLE, fixed};
 pub(super) use super::cell_block::classify;
@@ -22,6 +23,8 @@ pub(super) use super::cells::fill;
 pub(super) use super::footprints::{footprints, positions, shapes, unmark};
 pub(super) use super::rounding::ROUND_F32;
 use super::rounding::ROUNDING_SUMMAND;
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+pub(super) use super::simd128::sample;
 use crate::render::snapped_grid::{BLOCK_COLUMNS, MAX_STEPS, PX_PER_STEP, SnappedGrid, YRange};
 
 /// Pixels that are written together.
@@ -470,13 +473,18 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
         let [nu, ndu, nv, ndv]: &[[f32; BLOCK_COLUMNS]; NOTES] =
             notes(spans.notes, c / BLOCK_COLUMNS);
         let c = c % BLOCK_COLUMNS;
+        let (nu, ndu, nv, ndv) = (nu[c], ndu[c], nv[c], ndv[c]);
         let mut k = 0.0;
         while at < end {
             // Whole groups: values written beyond the end belong to later spans or lie outside.
+            let (u, v): (&mut [f32; LANES], &mut [f32; LANES]) = (
+                u[at..].first_chunk_mut().expect("there is slack"),
+                v[at..].first_chunk_mut().expect("there is slack"),
+            );
             for lane in 0..LANES {
                 let k = k + lane as f32;
-                u[at + lane] = nu[c] + k * ndu[c];
-                v[at + lane] = nv[c] + k * ndv[c];
+                u[lane] = nu + k * ndu;
+                v[lane] = nv + k * ndv;
             }
             at += LANES;
             k += LANES as f32;
@@ -492,7 +500,8 @@ fn notes(notes: &[[f32; BLOCK_COLUMNS]], block: usize) -> &[[f32; BLOCK_COLUMNS]
 }
 
 /// Notes the first pixel of every span, and the coordinates there with their steps.
-#[inline(always)]
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, inline(never))]
 pub(super) fn note(spans: &mut Spans<'_>) {
     let width = spans.width as f32;
     for b in 0..spans.columns.div_ceil(BLOCK_COLUMNS) {

@@ -279,7 +279,8 @@ impl ScanWriter {
 
     /// Codes the blocks of a group in an order; `last`: T.81's predictors of DC, the first
     /// coefficient of each component's previous block.
-    #[inline(always)]
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, inline(never))]
     pub(super) fn put_group(
         &mut self,
         blocks: &Blocks,

@@ -286,7 +286,8 @@ fn half<T: I16Lanes, const CHANNELS: usize>(
 }
 
 /// Red, green and blue, 257 times their samples; or grey three times, 256 times its sample.
-#[inline(always)]
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, inline(never))]
 fn colours<T: I16Lanes, const CHANNELS: usize>(
     pixels: &[u8],
     [red, green, blue]: [u8; 3],
@@ -344,7 +345,8 @@ fn fraction<T: I16Lanes>(value: T) -> T {
 
 /// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313,
 /// 0.4187 and 0.0813 in units of 2^-15, are multiplied by 256 / 257.
-#[inline(always)]
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, inline(never))]
 fn chroma<T: I16Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
     let half = T::all(16_320);
     let blue = b

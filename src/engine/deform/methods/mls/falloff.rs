@@ -74,7 +74,8 @@ impl Falloff {
 
     /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no
     /// distance.
-    #[inline(always)]
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     pub(in crate::deform) fn apply_to_squared(self, squares: &mut [f64]) {
         match self.power {
             Power::Half => {

@@ -1,0 +1,3 @@
+//! The WebAssembly file.
+
+pub use mlswarp_wasm::*;
