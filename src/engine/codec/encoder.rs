@@ -73,9 +73,9 @@ impl FormatEncoder for PngWriter {
         index: usize,
         samples: &[u8],
         out: &mut Vec<u8>,
-        _wanted: &dyn Fn() -> bool,
+        wanted: &dyn Fn() -> bool,
     ) -> StripChecksum {
-        self.strip_into(index, samples, out)
+        self.strip_while(index, samples, out, wanted)
     }
 
     fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {

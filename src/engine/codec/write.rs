@@ -259,12 +259,13 @@ mod tests {
         };
         [jpeg, Encoding::WebP, TIFF, Encoding::Gif]
             .into_iter()
-            .for_each(is_not_written_to_its_end);
+            .for_each(|encoding| is_not_written_to_its_end(encoding, 1000));
+        is_not_written_to_its_end(Encoding::Png(Compression::Best), 20);
     }
 
-    fn is_not_written_to_its_end(encoding: Encoding) {
+    fn is_not_written_to_its_end(encoding: Encoding, height: u32) {
         use std::cell::Cell;
-        let extent = Extent::new(1500, 1000).unwrap();
+        let extent = Extent::new(1500, height).unwrap();
         let shape = PixelLayout {
             extent,
             channels: Channels::Rgb,

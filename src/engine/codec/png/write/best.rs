@@ -18,16 +18,21 @@ const DEFLATE_LEVEL: u32 = 9;
 const BLOCK_BYTES: usize = 64 << 10;
 
 /// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered
-/// rows.
-pub(super) fn encode(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+/// rows. Stops between rows when `wanted` returns false; the output is then incomplete.
+pub(super) fn encode(
+    rows: StripRows<'_>,
+    last: bool,
+    out: &mut Vec<u8>,
+    wanted: &dyn Fn() -> bool,
+) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
     let most = filtered
         + usize::try_from(stored::overhead(filtered as u64))
             .expect("less than the rows themselves");
     out.reserve(filtered / 2 + 1024);
-    let adler = with_matches(rows, last, out);
-    let literal = without_matches(rows, last, filtered / 2);
+    let adler = with_matches(rows, last, out, wanted);
+    let literal = without_matches(rows, last, filtered / 2, wanted);
     if literal.len() < out.len() - start {
         out.truncate(start);
         out.extend_from_slice(&literal);
@@ -39,10 +44,15 @@ pub(super) fn encode(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 
     adler
 }
 
-fn with_matches(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+fn with_matches(
+    rows: StripRows<'_>,
+    last: bool,
+    out: &mut Vec<u8>,
+    wanted: &dyn Fn() -> bool,
+) -> u32 {
     let mut adler = simd_adler32::Adler32::new();
     let mut deflate = Compress::new(Compression::new(DEFLATE_LEVEL), false);
-    for_each_filtered(rows, |row| {
+    for_each_filtered(rows, wanted, |row| {
         adler.write(row);
         feed(&mut deflate, row, FlushCompress::None, out);
     });
@@ -59,12 +69,17 @@ fn with_matches(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     adler.finish()
 }
 
-fn without_matches(rows: StripRows<'_>, last: bool, reserve: usize) -> Vec<u8> {
+fn without_matches(
+    rows: StripRows<'_>,
+    last: bool,
+    reserve: usize,
+    wanted: &dyn Fn() -> bool,
+) -> Vec<u8> {
     let mut out = Vec::with_capacity(reserve);
     let mut bits = BitWriter::default();
     let mut block = Vec::with_capacity(BLOCK_BYTES.min(rows.filtered_len()) + rows.row_bytes() + 1);
     let mut left = rows.filtered_len();
-    for_each_filtered(rows, |row| {
+    for_each_filtered(rows, wanted, |row| {
         block.extend_from_slice(row);
         left -= row.len();
         if block.len() >= BLOCK_BYTES || left == 0 {
@@ -76,14 +91,14 @@ fn without_matches(rows: StripRows<'_>, last: bool, reserve: usize) -> Vec<u8> {
     out
 }
 
-/// Calls `take` with every filtered row, including its filter byte.
-fn for_each_filtered(rows: StripRows<'_>, mut take: impl FnMut(&[u8])) {
+/// Calls `take` with every filtered row, including its filter byte, as long as it is wanted.
+fn for_each_filtered(rows: StripRows<'_>, wanted: &dyn Fn() -> bool, mut take: impl FnMut(&[u8])) {
     let mut candidates: [Vec<u8>; 5] = std::array::from_fn(|filter| {
         let mut row = vec![0; rows.row_bytes() + 1];
         row[0] = u8::try_from(filter).expect("five filters");
         row
     });
-    for index in 0..rows.count() {
+    for index in (0..rows.count()).take_while(|_| wanted()) {
         take(choose(rows, index, &mut candidates));
     }
 }

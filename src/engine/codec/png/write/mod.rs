@@ -197,6 +197,18 @@ impl PngWriter {
     /// # Panics
     /// Like [`Self::strip`].
     pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
+        self.strip_while(index, samples, out, &|| true)
+    }
+
+    /// Like [`Self::strip_into`]. With `Compression::Best`, which takes long, it stops when `wanted`
+    /// returns false; the output is then incomplete.
+    pub(crate) fn strip_while(
+        &self,
+        index: usize,
+        samples: &[u8],
+        out: &mut Vec<u8>,
+        wanted: &dyn Fn() -> bool,
+    ) -> StripChecksum {
         let rows = StripRows::new(samples, self.layout.row_bytes(), self.bpp);
         assert_eq!(
             rows.count(),
@@ -211,7 +223,7 @@ impl PngWriter {
         let adler = match self.compression {
             Compression::None => stored::encode(rows, last, out),
             Compression::Fast => kernel::encode_fast(self.level, rows, last, out),
-            Compression::Best => best::encode(rows, last, out),
+            Compression::Best => best::encode(rows, last, out, wanted),
         };
         chunk.close(out);
         (adler, rows.filtered_len() as u64)
