@@ -20,7 +20,7 @@ pub(super) struct MeasuredCells {
 #[derive(Debug)]
 pub(super) struct Measured {
     /// Displacements on `[2^depth + 1][2^depth + 1]`.
-    pub(super) vertices: Lattice,
+    pub(super) vertices: CellVertices,
     pub(super) depth: u8,
     /// The largest error of the cell halved k times, for each k below `depth`.
     pub(super) errors: [f32; MAX_SUBDIVISION_DEPTH],
@@ -35,13 +35,13 @@ const HALVED_VERTICES: usize = 9;
 
 /// The vertices of a cell.
 #[derive(Debug)]
-pub(super) enum Lattice {
+pub(super) enum CellVertices {
     /// Not halved, or once, as most cells: without an allocation for each.
     Small([[f32; 2]; HALVED_VERTICES], usize),
     Large(Vec<[f32; 2]>),
 }
 
-impl Lattice {
+impl CellVertices {
     fn new(len: usize) -> Self {
         if len <= HALVED_VERTICES {
             Self::Small([[0.0; 2]; HALVED_VERTICES], len)
@@ -58,7 +58,7 @@ impl Lattice {
     }
 }
 
-impl Deref for Lattice {
+impl Deref for CellVertices {
     type Target = [[f32; 2]];
 
     fn deref(&self) -> &Self::Target {
@@ -111,7 +111,7 @@ impl MeasuredCells {
 
 impl Measured {
     pub(super) fn new(corners: [[f32; 2]; 4]) -> Self {
-        let mut vertices = Lattice::new(corners.len());
+        let mut vertices = CellVertices::new(corners.len());
         vertices.as_mut().copy_from_slice(&corners);
         Self {
             vertices,
@@ -126,7 +126,7 @@ impl Measured {
     pub(super) fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
         let coarse = (1_usize << self.depth) + 1;
         let fine = 2 * coarse - 1;
-        let mut lattice = Lattice::new(fine * fine);
+        let mut lattice = CellVertices::new(fine * fine);
         let vertices = lattice.as_mut();
         for (b, row) in self.vertices.chunks_exact(coarse).enumerate() {
             for (a, d) in row.iter().enumerate() {
