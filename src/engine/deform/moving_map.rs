@@ -53,24 +53,48 @@ impl<'a> MovingMap<'a> {
 
     /// Replaces positions by f of them. In parallel on the current pool; `None` when cancelled.
     pub(super) fn map_all(&self, places: &mut [Point], cancelled: IsCancelled<'_>) -> Option<()> {
-        let form = self.field.form();
         let tasks = places.par_chunks_mut(TASK);
-        // Memory that is taken once takes no faults.
-        tasks.try_for_each_init(
-            || (vec![MotionLanes::ZERO; TASK / TILE_LANES], Vec::new()),
-            |(motions, moved), places| {
-                let motions = &mut motions[..places.len().div_ceil(TILE_LANES)];
-                self.put_motions(places, motions, cancelled)?;
-                let way = Motions {
-                    form,
-                    places,
-                    motions,
-                };
-                way.at(1.0, 0..places.len(), moved);
-                places.copy_from_slice(moved);
-                Some(())
-            },
-        )
+        let mapped = || (vec![Point::default(); TASK], Vec::new());
+        tasks.try_for_each_init(mapped, |(mapped, motions), places| {
+            for places in places.chunks_mut(self.between_checks()) {
+                if cancelled() {
+                    return None;
+                }
+                let mapped = &mut mapped[..places.len()];
+                self.map_some(places, mapped, motions);
+                places.copy_from_slice(mapped);
+            }
+            Some(())
+        })
+    }
+
+    fn map_some(
+        &self,
+        places: &[Point],
+        mapped: &mut [Point],
+        motions: &mut Vec<MotionLanes<TILE_LANES>>,
+    ) {
+        let form = self.field.form();
+        let left = match &self.sums {
+            Some(sums) => sums.map(form, places, mapped),
+            None => (0..places.len()).collect(),
+        };
+        if left.is_empty() {
+            return;
+        }
+        motions.clear();
+        motions.resize(places.len().div_ceil(TILE_LANES), MotionLanes::ZERO);
+        self.put_rows(&left, places, motions);
+        for index in left {
+            let ([x, y], _) = motions[index / TILE_LANES].at(form, 1.0);
+            let lane = index % TILE_LANES;
+            mapped[index] = places[index] + Vec2::new(x[lane], y[lane]);
+        }
+    }
+
+    /// Positions between two checks of cancellation.
+    fn between_checks(&self) -> usize {
+        LANES * (COLUMNS_BETWEEN_CHECKS / self.plain.columns().max(1)).max(1)
     }
 
     fn put_motions(
@@ -79,7 +103,7 @@ impl<'a> MovingMap<'a> {
         motions: &mut [MotionLanes<TILE_LANES>],
         cancelled: IsCancelled<'_>,
     ) -> Option<()> {
-        let between = LANES * (COLUMNS_BETWEEN_CHECKS / self.plain.columns().max(1)).max(1);
+        let between = self.between_checks();
         let parts = places.chunks(between);
         for (places, motions) in parts.zip(motions.chunks_mut(between / TILE_LANES)) {
             if cancelled() {

@@ -137,6 +137,9 @@ pub(super) trait PosedOnce: fmt::Debug + Send + Sync {
     /// The motion of every position, a block after the other. Returns the indices of those that are
     /// not precise, and need their rows.
     fn motions(&self, places: &[Point], out: &mut [MotionLanes<TILE_LANES>]) -> Vec<usize>;
+
+    /// Where the whole way takes every position, with the same result.
+    fn map(&self, form: CoefficientForm, places: &[Point], out: &mut [Point]) -> Vec<usize>;
 }
 
 /// A map whose value is known at any position.

@@ -171,28 +171,76 @@ pub(crate) fn hypot(x: f64, y: f64) -> f64 {
 /// The angle of `(x, y)` for y >= 0, in [0, pi], to 1 ulp of itself.
 #[inline(always)]
 pub(crate) fn angle(y: f64, x: f64) -> f64 {
+    let arc = Arc::new(y, x);
+    let q = arc.over / arc.under;
+    let z = q * q;
     // A[0] + z (A[1] + z (A[2] + ...)); written out, the formatter takes 20 s for it.
     let [first @ .., last] = ARC;
-    angle_by(y, x, |z| {
-        z * first.iter().rev().fold(last, |sum, a| a + z * sum)
-    })
+    let series = z * first.iter().rev().fold(last, |sum, a| a + z * sum);
+    arc.whole(q - q * series)
 }
 
-/// The same to 2 ulp, with half as many operations that wait for each other.
-#[cfg(feature = "unfold")]
-#[inline(always)]
-pub(crate) fn quick_angle(y: f64, x: f64) -> f64 {
-    let pair = |k: usize, z: f64| ARC[k] + z * ARC[k + 1];
-    angle_by(y, x, |z| {
-        let z2 = z * z;
-        let z4 = z2 * z2;
-        let [first, second, last] = [
-            pair(0, z) + z2 * pair(2, z),
-            pair(4, z) + z2 * pair(6, z),
-            pair(8, z) + z2 * ARC[10],
-        ];
-        z * (first + z4 * (second + z4 * last))
-    })
+/// An angle in [0, pi], reduced to [-pi/8, pi/8]: that of `(under, over)`.
+#[derive(Clone, Copy)]
+pub(crate) struct Arc {
+    pub(crate) over: f64,
+    pub(crate) under: f64,
+    steep: bool,
+    turned: bool,
+    behind: bool,
+}
+
+impl Arc {
+    #[inline(always)]
+    pub(crate) fn new(y: f64, x: f64) -> Self {
+        let across = x.abs();
+        // Reduces to [0, pi/4] by the diagonal, then to [-pi/8, pi/8] by a rotation of pi/4.
+        let steep = y > across;
+        let (small, large) = if steep { (across, y) } else { (y, across) };
+        let turned = small > 0.414_213_562_373_095_03 * large;
+        let (over, under) = if turned {
+            (small - large, small + large)
+        } else {
+            (small, large)
+        };
+        Self {
+            over,
+            under,
+            steep,
+            turned,
+            behind: x < 0.0,
+        }
+    }
+
+    /// The whole of a reduced angle.
+    #[inline(always)]
+    fn whole(self, reduced: f64) -> f64 {
+        use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
+        let octant = if self.turned {
+            FRAC_PI_4 + reduced
+        } else {
+            reduced
+        };
+        let quadrant = if self.steep {
+            FRAC_PI_2 - octant
+        } else {
+            octant
+        };
+        if self.behind { PI - quadrant } else { quadrant }
+    }
+
+    /// The angle, from `q = over / under`, to 2 ulp: half as many operations of [`angle`] wait for
+    /// each other.
+    #[cfg(feature = "unfold")]
+    #[inline(always)]
+    pub(crate) fn angle(self, q: f64) -> f64 {
+        let z = q * q;
+        let (z2, z4) = (z * z, (z * z) * (z * z));
+        let first = (ARC[0] + z * ARC[1]) + z2 * (ARC[2] + z * ARC[3]);
+        let second = (ARC[4] + z * ARC[5]) + z2 * (ARC[6] + z * ARC[7]);
+        let last = (ARC[8] + z * ARC[9]) + z2 * ARC[10];
+        self.whole(q - q * (z * (first + z4 * (second + z4 * last))))
+    }
 }
 
 /// Those of `1 - atan(q) / q` in `z = q^2`, from z on.
@@ -209,27 +257,6 @@ const ARC: [f64; 11] = [
     -0.036_531_572_744_216_916,
     0.016_285_820_115_365_782,
 ];
-
-#[inline(always)]
-fn angle_by(y: f64, x: f64, series: impl Fn(f64) -> f64) -> f64 {
-    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
-    let across = x.abs();
-    // Reduces to [0, pi/4] by the diagonal, then to [-pi/8, pi/8] by a rotation of pi/4.
-    let steep = y > across;
-    let (small, large) = if steep { (across, y) } else { (y, across) };
-    let turned = small > 0.414_213_562_373_095_03 * large;
-    let (over, under) = if turned {
-        (small - large, small + large)
-    } else {
-        (small, large)
-    };
-    let q = over / under;
-    let series = series(q * q);
-    let octant = q - q * series;
-    let octant = if turned { FRAC_PI_4 + octant } else { octant };
-    let quadrant = if steep { FRAC_PI_2 - octant } else { octant };
-    if x < 0.0 { PI - quadrant } else { quadrant }
-}
 
 #[cfg(test)]
 mod tests {
@@ -333,7 +360,11 @@ mod tests {
                 y.atan2(x)
             );
             #[cfg(feature = "unfold")]
-            assert!(ulps(quick_angle(y, x), y.atan2(x)) <= 2, "{y:e}, {x:e}");
+            {
+                let arc = Arc::new(y, x);
+                let quick = arc.angle(arc.over / arc.under);
+                assert!(ulps(quick, y.atan2(x)) <= 2, "{y:e}, {x:e}: {quick:e}");
+            }
         }
         for y in [1e-300, 1e-20, 1e-3] {
             assert!(ulps(angle(y, 1.0), y.atan2(1.0)) <= 1);

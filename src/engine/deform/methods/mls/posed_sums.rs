@@ -3,18 +3,20 @@
 //! a handle, at which such sums cancel, needs its row; one on a handle moves with it.
 
 use super::falloff::{Falloff, Power};
-use super::fitted_moments::FittedSums;
+use super::fitted_moments::{FittedLanes, FittedSums};
 use super::incomplete_beta::IncompleteBeta;
 use super::segments::{Moments, View, quick_moments};
 use crate::deform::columns::{HandleElements, RestSegment};
-use crate::deform::form::MotionLanes;
+use crate::deform::form::{CoefficientForm, MotionLanes};
 use crate::deform::kernel::{LaneWork, run_at};
-use crate::deform::lanes::{LANES, Vertices, gather};
+use crate::deform::lanes::{LANES, Vertices};
 use crate::deform::point_map::PosedOnce;
 use crate::deform::tiles::{TILE_LANES, TileSource, add_sources, plus, squared_distances};
 use crate::geometry::{Point, Vec2};
 use crate::level::SimdLevel;
 
+/// Segments whose quick moments are computed before they are summed.
+const QUICK_AT_ONCE: usize = 8;
 /// Within this distance of a handle a position moves with it, px.
 const ON_HANDLE_PX: f64 = 1e-9;
 
@@ -77,54 +79,74 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
         }
     }
 
-    /// The sums at the first and at the second half of the positions.
+    /// How half of the positions move; `beyond`: the moments of segments, if they are not quick.
     #[inline(always)]
-    fn sums(&self, v: &Vertices<LANES>) -> [[[f64; TILE_LANES]; SUMS]; 2] {
-        let mut sums = [[[0.0; TILE_LANES]; SUMS]; 2];
-        for (half, sums) in sums.iter_mut().enumerate() {
-            let (x, y) = (half_of(&v.x, half), half_of(&v.y, half));
-            if self.falloff.power() == Power::Other {
-                add_sources(self.falloff, &self.points, &x, &y, sums);
-                continue;
-            }
-            let mut at = *sums;
+    fn fitted(
+        &self,
+        x: &[f64; TILE_LANES],
+        y: &[f64; TILE_LANES],
+        (half, beyond): (usize, &[[[f64; LANES]; 3]]),
+    ) -> FittedLanes<TILE_LANES>
+    where
+        [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
+    {
+        let mut sums = [[0.0; TILE_LANES]; SUMS];
+        if self.falloff.power() == Power::Other {
+            add_sources(self.falloff, &self.points, x, y, &mut sums);
+        } else {
             for source in &self.points {
                 // One source after the other: its weight waits for a division while the sums of
                 // those before are added.
-                let mut w = squared_distances(source.p, &x, &y);
+                let mut w = squared_distances(source.p, x, y);
                 self.falloff.apply_to_squared(&mut w);
-                at = plus_all(at, &source.factors, w);
+                sums = plus_all(sums, &source.factors, w);
             }
-            *sums = at;
         }
-        for (s, factors) in &self.segments {
-            let moments = self.moments_from_a(s, v);
-            for (half, sums) in sums.iter_mut().enumerate() {
-                let mut at = *sums;
-                for (factors, moment) in factors.iter().zip(&moments) {
-                    at = plus_all(at, factors, half_of(moment, half));
+        if self.falloff.power() == Power::Two {
+            let mut moments = [[[0.0; TILE_LANES]; 3]; QUICK_AT_ONCE];
+            for segments in self.segments.chunks(QUICK_AT_ONCE) {
+                for ((s, _), moments) in segments.iter().zip(&mut moments) {
+                    *moments = quick_moments(s, x, y);
                 }
-                *sums = at;
+                for ((_, factors), moments) in segments.iter().zip(&moments) {
+                    sums = plus_all(sums, &factors[0], moments[0]);
+                    sums = plus_all(sums, &factors[1], moments[1]);
+                    sums = plus_all(sums, &factors[2], moments[2]);
+                }
+            }
+        } else {
+            for ((_, factors), moments) in self.segments.iter().zip(beyond) {
+                for (factors, moment) in factors.iter().zip(moments) {
+                    sums = plus_all(sums, factors, half_of(moment, half));
+                }
             }
         }
-        sums
+        let (mut from_x, mut from_y) = (*x, *y);
+        for k in 0..TILE_LANES {
+            (from_x[k], from_y[k]) = (x[k] - self.origin.x, y[k] - self.origin.y);
+        }
+        sums.fitted(&from_x, &from_y)
     }
 
+    /// Moments from a at all alphas but 2.
     #[inline(always)]
-    fn moments_from_a(&self, s: &RestSegment, v: &Vertices<LANES>) -> [[f64; LANES]; 3] {
+    fn put_moments(&self, v: &Vertices<LANES>, moments: &mut Vec<[[f64; LANES]; 3]>) {
+        moments.clear();
         if self.falloff.power() == Power::Two {
-            return quick_moments(s, v);
+            return;
         }
         let weight = (self.falloff, self.beta);
-        let view = View::new(s, v);
-        let Moments([m0, mut m1, mut m2]) = view.moments(s, v, weight, &[1.0; LANES], false);
-        for k in 0..LANES {
-            // From moments about the nearest position to moments about a.
-            let b = view.share_b[k];
-            m2[k] += b * (2.0 * m1[k] + b * m0[k]);
-            m1[k] += b * m0[k];
+        for (s, _) in &self.segments {
+            let view = View::new(s, v);
+            let Moments([m0, mut m1, mut m2]) = view.moments(s, v, weight, &[1.0; LANES], false);
+            for k in 0..LANES {
+                // From moments about the nearest position to moments about a.
+                let b = view.share_b[k];
+                m2[k] += b * (2.0 * m1[k] + b * m0[k]);
+                m1[k] += b * m0[k];
+            }
+            moments.push([m0, m1, m2]);
         }
-        [m0, m1, m2]
     }
 
     /// How a position on a handle moves; `None`: on none, or on several that move differently.
@@ -176,14 +198,37 @@ fn plus_four(sums: &mut [[f64; TILE_LANES]], factors: &[f64], lanes: [f64; TILE_
     sums[3] = plus(sums[3], factors[3], lanes);
 }
 
-/// The work on some positions.
-struct SumsAtPlaces<'a, const SUMS: usize> {
+/// Positions by lane; the last one is repeated.
+#[inline(always)]
+fn lanes_of(places: &[Point]) -> Vertices<LANES> {
+    let mut v = Vertices::all(places[places.len() - 1]);
+    for (k, place) in places.iter().enumerate() {
+        (v.x[k], v.y[k]) = (place.x, place.y);
+    }
+    v
+}
+
+/// Indices of the positions from `first` on that are not precise.
+#[inline(always)]
+fn note(is_precise: [bool; TILE_LANES], first: usize, end: usize, imprecise: &mut Vec<usize>) {
+    if !is_precise.iter().fold(true, |all, lane| all & lane) {
+        let lanes = (first..end).zip(is_precise);
+        imprecise.extend(
+            lanes
+                .filter(|(_, precise)| !precise)
+                .map(|(index, _)| index),
+        );
+    }
+}
+
+/// How some positions move.
+struct MotionsOfPlaces<'a, const SUMS: usize> {
     sums: &'a PosedSums<'a, SUMS>,
     places: &'a [Point],
     out: &'a mut [MotionLanes<TILE_LANES>],
 }
 
-impl<const SUMS: usize> LaneWork for SumsAtPlaces<'_, SUMS>
+impl<const SUMS: usize> LaneWork for MotionsOfPlaces<'_, SUMS>
 where
     [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
 {
@@ -191,26 +236,62 @@ where
 
     #[inline(always)]
     fn run(self) -> Vec<usize> {
-        let (origin, mut imprecise) = (self.sums.origin, Vec::new());
+        let (mut imprecise, mut moments) = (Vec::new(), Vec::new());
         let blocks = self.places.chunks(LANES).zip(self.out.chunks_mut(2));
-        for (first, (places, out)) in (0..).step_by(LANES).zip(blocks) {
-            let v = gather(|lane| places[lane.min(places.len() - 1)]);
-            let sums = self.sums.sums(&v);
-            for (half, (sums, out)) in sums.iter().zip(out).enumerate() {
-                let (mut x, mut y) = (half_of(&v.x, half), half_of(&v.y, half));
-                for k in 0..TILE_LANES {
-                    (x[k], y[k]) = (x[k] - origin.x, y[k] - origin.y);
-                }
-                let fitted = sums.fitted(&x, &y);
+        for (start, (places, out)) in (0..).step_by(LANES).zip(blocks) {
+            let (v, end) = (lanes_of(places), start + places.len());
+            self.sums.put_moments(&v, &mut moments);
+            for (half, out) in out.iter_mut().enumerate() {
+                let (x, y) = (half_of(&v.x, half), half_of(&v.y, half));
+                let fitted = self.sums.fitted(&x, &y, (half, &moments));
                 *out = fitted.motion;
-                if fitted.is_precise.iter().fold(true, |all, lane| all & lane) {
-                    continue;
+                note(
+                    fitted.is_precise,
+                    start + half * TILE_LANES,
+                    end,
+                    &mut imprecise,
+                );
+            }
+        }
+        imprecise
+    }
+}
+
+/// Where some positions go.
+struct MappedPlaces<'a, const SUMS: usize> {
+    sums: &'a PosedSums<'a, SUMS>,
+    form: CoefficientForm,
+    places: &'a [Point],
+    out: &'a mut [Point],
+}
+
+impl<const SUMS: usize> LaneWork for MappedPlaces<'_, SUMS>
+where
+    [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
+{
+    type Output = Vec<usize>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<usize> {
+        let (mut imprecise, mut moments) = (Vec::new(), Vec::new());
+        let blocks = self.places.chunks(LANES).zip(self.out.chunks_mut(LANES));
+        for (start, (places, out)) in (0..).step_by(LANES).zip(blocks) {
+            let (v, end) = (lanes_of(places), start + places.len());
+            self.sums.put_moments(&v, &mut moments);
+            for (half, out) in out.chunks_mut(TILE_LANES).enumerate() {
+                let (x, y) = (half_of(&v.x, half), half_of(&v.y, half));
+                let fitted = self.sums.fitted(&x, &y, (half, &moments));
+                let ([dx, dy], _) = fitted.motion.at(self.form, 1.0);
+                let mut mapped = [Point::default(); TILE_LANES];
+                for k in 0..TILE_LANES {
+                    mapped[k] = Point::new(x[k] + dx[k], y[k] + dy[k]);
                 }
-                let lanes = (half * TILE_LANES..places.len()).zip(fitted.is_precise);
-                imprecise.extend(
-                    lanes
-                        .filter(|(_, precise)| !precise)
-                        .map(|(lane, _)| first + lane),
+                out.copy_from_slice(&mapped[..out.len()]);
+                note(
+                    fitted.is_precise,
+                    start + half * TILE_LANES,
+                    end,
+                    &mut imprecise,
                 );
             }
         }
@@ -223,11 +304,10 @@ where
     [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
 {
     fn motions(&self, places: &[Point], out: &mut [MotionLanes<TILE_LANES>]) -> Vec<usize> {
-        let (sums, work_out) = (self, &mut *out);
-        let work = SumsAtPlaces {
-            sums,
+        let work = MotionsOfPlaces {
+            sums: self,
             places,
-            out: work_out,
+            out: &mut *out,
         };
         let mut imprecise = run_at(SimdLevel::detect(), work);
         imprecise.retain(|index| {
@@ -235,6 +315,24 @@ where
             if let Some(d) = on_handle {
                 let motion = [d, Vec2::ZERO, Vec2::ZERO];
                 out[index / TILE_LANES].put(index % TILE_LANES, motion);
+            }
+            on_handle.is_none()
+        });
+        imprecise
+    }
+
+    fn map(&self, form: CoefficientForm, places: &[Point], out: &mut [Point]) -> Vec<usize> {
+        let work = MappedPlaces {
+            sums: self,
+            form,
+            places,
+            out: &mut *out,
+        };
+        let mut imprecise = run_at(SimdLevel::detect(), work);
+        imprecise.retain(|index| {
+            let on_handle = self.on_handle(places[*index]);
+            if let Some(d) = on_handle {
+                out[*index] = places[*index] + d;
             }
             on_handle.is_none()
         });

@@ -13,9 +13,9 @@ use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
 use super::quadrature::Sight;
 use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
-use crate::geometry::lane_math::angle;
 #[cfg(feature = "unfold")]
-use crate::geometry::lane_math::quick_angle;
+use crate::geometry::lane_math::Arc;
+use crate::geometry::lane_math::angle;
 
 /// The closed form of alpha 2 replaces the nodes for a segment farther away than this share of its
 /// length: nearer, at a distance r, its second moment cancels by (L/r)^2.
@@ -23,6 +23,13 @@ const CLOSED_FROM: f64 = 1e-3;
 /// The closed form of other alphas replaces the nodes for a segment nearer than this number of its
 /// lengths: farther away, its second moment cancels by (r/L)^3.
 const CLOSED_TO: f64 = 32.0;
+
+/// Angles below which quick moments are those of the series: 5 terms reach 1e-15 here.
+#[cfg(feature = "unfold")]
+const QUICK_NEAR: f64 = 0.05;
+/// The least cross product that quick moments divide by, px^2.
+#[cfg(feature = "unfold")]
+const LEAST_CROSS: f64 = 1e-100;
 
 /// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
@@ -242,7 +249,7 @@ impl<const N: usize> View<N> {
             // digits next to the line and on the extension, where it is 0.
             let phi = angle(cross, dot);
             let (near, far) = (
-                g_series::<12>(phi * phi),
+                g_series(phi * phi),
                 g_closed(phi, cross * per_ab, dot * per_ab),
             );
             // Both are computed and one is chosen: the closed form is 0/0 at phi = 0, and the
@@ -270,42 +277,67 @@ impl<const N: usize> View<N> {
 }
 
 /// `sum w t^m` of alpha 2, t from a in lengths of the segment: about 1e-13 of the largest of them,
-/// for sums that cancel beside the segment in any case. A third of the time of [`View::moments`].
+/// for sums that cancel beside the segment in any case. A quarter of the time of
+/// [`View::moments`].
 #[cfg(feature = "unfold")]
 #[inline(always)]
 pub(in crate::deform) fn quick_moments<const N: usize>(
     s: &RestSegment,
-    v: &Vertices<N>,
+    x: &[f64; N],
+    y: &[f64; N],
 ) -> [[f64; N]; 3] {
+    // `G1 / cos phi`: near, 1 / (|a| |b|) is cos phi / (a b), so that no root is needed.
+    const NEAR_1: [f64; 5] = [
+        0.666_666_666_666_666_6,
+        0.533_333_333_333_333_3,
+        0.279_365_079_365_079_37,
+        0.125_291_005_291_005_3,
+        0.052_794_612_794_612_8,
+    ];
     let half = 0.5 * s.weight * s.length;
     let mut m = [[0.0; N]; 3];
     for k in 0..N {
-        let (ax, ay) = (s.a.x - v.x[k], s.a.y - v.y[k]);
-        let (bx, by) = (s.b.x - v.x[k], s.b.y - v.y[k]);
+        let (ax, ay) = (s.a.x - x[k], s.a.y - y[k]);
+        let (bx, by) = (s.b.x - x[k], s.b.y - y[k]);
         let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
         let (cross, dot) = ((ax * by - ay * bx).abs(), ax * bx + ay * by);
-        // Divisions that do not wait for each other, nor for the root.
-        let square = a2 * b2;
-        let (ab, per_square) = (square.sqrt(), 1.0 / square);
-        let (per_ab, per_sin) = (per_square * ab, ab / cross);
-        let phi = quick_angle(cross, dot);
-        let (cos, per_sin2) = (dot * per_ab, per_sin * per_sin);
-        let (near, far) = (
-            g_series::<5>(phi * phi),
-            (
-                (phi * per_sin - cos) * per_sin2,
-                (1.0 - phi * cos * per_sin) * per_sin2,
-            ),
+        // On the line beyond an end, where it is divided by as well.
+        let cross = if cross > LEAST_CROSS {
+            cross
+        } else {
+            LEAST_CROSS
+        };
+        // One division for all three.
+        let (square, arc) = (a2 * b2, Arc::new(cross, dot));
+        let product = square * cross;
+        let per_all = 1.0 / (product * arc.under);
+        let phi = arc.angle(arc.over * (per_all * product));
+        let per_product = per_all * arc.under;
+        let (per_square, per_cross) = (per_product * cross, per_product * square);
+        let (of_angle, of_dot) = (phi * per_cross, dot * per_square);
+        let per_cross2 = per_cross * per_cross;
+        let far = (
+            (of_angle - of_dot) * per_cross2,
+            (1.0 - of_angle * dot) * per_cross2,
         );
-        let (g1, g2) = if phi < 0.1 { near } else { far };
-        let of_both = half * per_square;
-        let of_end = of_both * g1 * per_ab;
-        let (d00, d01, d11) = (of_end * b2, of_both * g2, of_end * a2);
-        m[0][k] = d00 + 2.0 * d01 + d11;
-        m[1][k] = d01 + d11;
-        m[2][k] = d11;
+        let z = phi * phi;
+        let near = (
+            series(&NEAR_1, z) * (of_dot * per_square),
+            series(&G2, z) * per_square,
+        );
+        let (of_ends, of_both) = if phi < QUICK_NEAR { near } else { far };
+        let (d00, d01, d11) = (half * of_ends * b2, half * of_both, half * of_ends * a2);
+        let of_b = d01 + d11;
+        (m[0][k], m[1][k], m[2][k]) = (d00 + d01 + of_b, of_b, d11);
     }
     m
+}
+
+#[cfg(feature = "unfold")]
+#[inline(always)]
+fn series(terms: &[f64], x: f64) -> f64 {
+    let near = &terms[..5];
+    (((near[4] * x + near[3]) * x + near[2]) * x + near[1]) * x + near[0]
 }
 
 #[inline(always)]
@@ -316,44 +348,44 @@ fn g_closed(phi: f64, sin: f64, cos: f64) -> (f64, f64) {
     ((phi / sin - cos) / s2, (1.0 - phi * cos / sin) / s2)
 }
 
-/// Series in `x = phi^2` (appendix of the mathematics); 12 terms reach 1e-15 at phi = 0.3, 5 terms
-/// 1e-13 at 0.1.
+/// Series in `x = phi^2` (appendix of the mathematics); 12 terms reach 1e-15 at phi = 0.3.
 #[inline(always)]
-fn g_series<const TERMS: usize>(x: f64) -> (f64, f64) {
-    const G1: [f64; 12] = [
-        0.666_666_666_666_666_6,
-        0.2,
-        0.040_476_190_476_190_48,
-        0.006_904_761_904_761_905,
-        0.001_065_115_440_115_440_1,
-        0.000_153_448_954_044_192_13,
-        2.103_185_064_494_588_3e-5,
-        2.775_288_059_193_287_7e-6,
-        3.554_743_897_991_485_7e-7,
-        4.445_508_838_349_299_4e-8,
-        5.451_608_923_746_391e-9,
-        6.577_162_419_890_202e-10,
-    ];
-    const G2: [f64; 12] = [
-        0.333_333_333_333_333_3,
-        0.133_333_333_333_333_33,
-        0.031_746_031_746_031_744,
-        0.005_925_925_925_925_926,
-        0.000_962_000_962_000_962,
-        0.000_142_850_682_533_222_2,
-        1.995_261_254_520_514e-5,
-        2.665_753_054_797_561_7e-6,
-        3.443_700_517_071_775_7e-7,
-        4.332_978_728_872_515e-8,
-        5.337_585_930_369_606e-9,
-        6.461_631_082_271_668e-10,
-    ];
-    let (mut g1, mut g2) = (G1[TERMS - 1], G2[TERMS - 1]);
-    for k in (0..TERMS - 1).rev() {
+fn g_series(x: f64) -> (f64, f64) {
+    let (mut g1, mut g2) = (G1[11], G2[11]);
+    for k in (0..11).rev() {
         (g1, g2) = (g1 * x + G1[k], g2 * x + G2[k]);
     }
     (g1, g2)
 }
+
+const G1: [f64; 12] = [
+    0.666_666_666_666_666_6,
+    0.2,
+    0.040_476_190_476_190_48,
+    0.006_904_761_904_761_905,
+    0.001_065_115_440_115_440_1,
+    0.000_153_448_954_044_192_13,
+    2.103_185_064_494_588_3e-5,
+    2.775_288_059_193_287_7e-6,
+    3.554_743_897_991_485_7e-7,
+    4.445_508_838_349_299_4e-8,
+    5.451_608_923_746_391e-9,
+    6.577_162_419_890_202e-10,
+];
+const G2: [f64; 12] = [
+    0.333_333_333_333_333_3,
+    0.133_333_333_333_333_33,
+    0.031_746_031_746_031_744,
+    0.005_925_925_925_925_926,
+    0.000_962_000_962_000_962,
+    0.000_142_850_682_533_222_2,
+    1.995_261_254_520_514e-5,
+    2.665_753_054_797_561_7e-6,
+    3.443_700_517_071_775_7e-7,
+    4.332_978_728_872_515e-8,
+    5.337_585_930_369_606e-9,
+    6.461_631_082_271_668e-10,
+];
 
 #[cfg(test)]
 mod tests {
