@@ -2,9 +2,8 @@
 //! reference and defines every result: f32 operations in a fixed order without fused products, and
 //! integers; so all levels give the same bytes. `avx2` compiles the scalar loops that the compiler
 //! can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells. For
-//! WebAssembly, which is compiled for size, what takes time is compiled for speed, and `simd128` has
-//! a hand-written sampler.
-//! Rejected variants: `notes.md`.
+//! WebAssembly, which is compiled for size, what takes time is compiled for speed, and `simd128`
+//! has a hand-written sampler. Rejected variants: `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]

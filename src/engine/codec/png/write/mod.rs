@@ -200,8 +200,8 @@ impl PngWriter {
         self.strip_while(index, samples, out, &|| true)
     }
 
-    /// Like [`Self::strip_into`]. With `Compression::Best`, which takes long, it stops when `wanted`
-    /// returns false; the output is then incomplete.
+    /// Like [`Self::strip_into`]. With `Compression::Best`, which takes long, it stops when
+    /// `wanted` returns false; the output is then incomplete.
     pub(crate) fn strip_while(
         &self,
         index: usize,
