@@ -21,9 +21,7 @@ import re
 import statistics
 import subprocess
 import sys
-import tarfile
 import tempfile
-from io import BytesIO
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,7 +84,7 @@ def tree(name, folder):
     archive = subprocess.run(
         ["git", "archive", name, "src/web"], cwd=ROOT, check=True, stdout=subprocess.PIPE
     ).stdout
-    tarfile.open(fileobj=BytesIO(archive)).extractall(folder, filter="data")
+    subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
     return folder / "src" / "web"
 
 
