@@ -9,7 +9,7 @@ const opened = Promise.all([Engine.load(), readFile("public/cat.jpg")]);
 export async function POST(request) {
   const [engine, cat] = await opened;
   try {
-    const { q } = await request.json();
+    const q = (await request.json())?.q;
     const file = engine.warpFile(cat, { p, q, output: { format: "png" } });
     return new Response(file, { headers: { "Content-Type": "image/png" } });
   } catch (error) {
