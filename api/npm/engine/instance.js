@@ -5,7 +5,7 @@
 import { EngineCrashed, MlswarpError } from "./errors.js";
 
 /** That of the file; see `wasm/src/lib.rs`. */
-const ABI_VERSION = 1;
+const ABI_VERSION = 2;
 
 /**
  * @typedef {{

@@ -142,8 +142,9 @@ export class Pose extends Held {
   #drawn(subject, output) {
     const [instance, pose] = inUse(this);
     const number = instance.make("draw", pose, subject, instance.putJson({ output }));
-    const [width, height] = instance.head(number, 2);
-    return { width, height, bytes: instance.take(number, 8) };
+    const [width, height, samples] = instance.head(number, 3);
+    instance.free(number);
+    return { width, height, bytes: instance.take(samples) };
   }
 
   /**

@@ -56,7 +56,9 @@ impl DrawnPixels {
 ///
 /// # Errors
 /// More than there is memory for.
-pub(crate) fn reserved<T: Clone + Default>(count: u64) -> Result<Vec<T>, WarpError> {
+pub(crate) fn reserved<T: Copy + Default>(count: u64) -> Result<Vec<T>, WarpError> {
+    /// Values that are copied at once.
+    const PIECE: usize = 4096;
     let mut values = Vec::new();
     let room = usize::try_from(count)
         .ok()
@@ -68,7 +70,11 @@ pub(crate) fn reserved<T: Clone + Default>(count: u64) -> Result<Vec<T>, WarpErr
             actual: count.saturating_mul(size_of::<T>() as u64),
         });
     };
-    values.resize(length, T::default());
+    // Copies of a first piece: compiled for size, `resize` writes one value at a time.
+    values.resize(length.min(PIECE), T::default());
+    while values.len() < length {
+        values.extend_from_within(..PIECE.min(length - values.len()));
+    }
     Ok(values)
 }
 

@@ -24,7 +24,7 @@ use mlswarp_contract::blend::Blend;
 use objects::{Object, bytes, get, give, result, with};
 
 /// The version of these functions. JavaScript of another one refuses to work with this file.
-const ABI_VERSION: u32 = 1;
+const ABI_VERSION: u32 = 2;
 
 /// The text of the panic that ended this instance.
 static PANIC: Mutex<String> = Mutex::new(String::new());
@@ -153,8 +153,8 @@ pub extern "C" fn labels(values: u32, width: u32, height: u32, bits: u32) -> u32
 }
 
 /// Draws an image, labels or, for 0, how much of each pixel is covered. `warp`: a warp object whose
-/// `output` counts. The result: a buffer with width and height (u32) and the samples, as many for a
-/// pixel as the subject has.
+/// `output` counts. The result: a buffer with width, height and the number (u32) of a buffer with the
+/// samples, as many for a pixel as the subject has.
 #[unsafe(no_mangle)]
 pub extern "C" fn draw(pose: u32, subject: u32, warp: u32) -> u32 {
     result(|| {

@@ -5,6 +5,8 @@ use mlswarp::warp::{LabelImage, LabelValues, Limits, OutputSpec};
 use mlswarp::{PosedWarp, Rendering};
 use mlswarp_contract::problem::{Code, Problem};
 
+use crate::objects::{Object, give};
+
 /// Labels of as many bits.
 pub(crate) fn labels(
     values: &[u8],
@@ -31,23 +33,26 @@ pub(crate) fn labels(
     labels.map_err(Problem::from)
 }
 
-/// Width, height and room for samples.
-fn head(extent: Extent) -> Vec<u8> {
-    [extent.width().to_le_bytes(), extent.height().to_le_bytes()].concat()
+/// What a drawing gives: width, height, and the number of a buffer with its samples.
+fn with_size(extent: Extent, samples: Vec<u8>) -> Vec<u8> {
+    // A buffer of their own: eight megabytes are not moved for the sake of two numbers.
+    let samples = give(Object::Buffer(samples));
+    let numbers = [extent.width(), extent.height(), samples];
+    numbers.map(u32::to_le_bytes).concat()
 }
 
-/// Width, height and samples of an image or of its coverage.
+/// Draws an image or its coverage.
 pub(crate) fn drawn(rendering: Rendering<'_>, output: OutputSpec) -> Result<Vec<u8>, Problem> {
     let pixels = rendering.with(|own| *own = output).pixels()?;
-    let mut bytes = head(pixels.extent());
-    match pixels.into_samples() {
-        Samples::Eight(samples) => bytes.extend(samples),
-        Samples::Sixteen(samples) => bytes.extend(samples.into_iter().flat_map(u16::to_le_bytes)),
-    }
-    Ok(bytes)
+    let extent = pixels.extent();
+    let samples = match pixels.into_samples() {
+        Samples::Eight(samples) => samples,
+        Samples::Sixteen(samples) => samples.into_iter().flat_map(u16::to_le_bytes).collect(),
+    };
+    Ok(with_size(extent, samples))
 }
 
-/// Width, height and labels with the bits that they came with.
+/// Draws labels, with the bits that they came with.
 pub(crate) fn drawn_labels(
     pose: &PosedWarp,
     labels: &LabelImage,
@@ -56,15 +61,12 @@ pub(crate) fn drawn_labels(
     let rendering = pose.render_labels(labels)?.with(|own| *own = output);
     let size = labels.extent();
     let target = output.target(size, pose.posed_mesh(), &Limits::default(), &|| false)?;
-    let mut bytes = head(target.extent);
-    match rendering.labels()? {
-        LabelValues::Eight(labels) => bytes.extend(labels),
-        LabelValues::Sixteen(labels) => bytes.extend(labels.into_iter().flat_map(u16::to_le_bytes)),
-        LabelValues::ThirtyTwo(labels) => {
-            bytes.extend(labels.into_iter().flat_map(u32::to_le_bytes));
-        }
-    }
-    Ok(bytes)
+    let labels = match rendering.labels()? {
+        LabelValues::Eight(labels) => labels,
+        LabelValues::Sixteen(labels) => labels.into_iter().flat_map(u16::to_le_bytes).collect(),
+        LabelValues::ThirtyTwo(labels) => labels.into_iter().flat_map(u32::to_le_bytes).collect(),
+    };
+    Ok(with_size(target.extent, labels))
 }
 
 /// Pairs of coordinates.

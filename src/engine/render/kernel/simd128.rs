@@ -29,47 +29,57 @@ pub(super) fn sample(packed: &Packed, u: &[f32], v: &[f32], channels: Channels, 
     if packed.width > 1 << 15 || packed.height > 1 << 15 {
         return bilinear::sample(packed, u, v, channels, out);
     }
-    match channels {
-        Channels::Rgb => {
-            let drop = |pixels| {
-                i8x16_shuffle::<0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 0, 0, 0, 0>(pixels, pixels)
-            };
-            row::<12>(packed, u, v, out, drop);
-        }
-        Channels::Rgba => row::<16>(packed, u, v, out, |pixels| pixels),
+    let bytes = LANES * channels.count();
+    let (us, u_rest) = u.as_chunks::<LANES>();
+    let (vs, v_rest) = v.as_chunks::<LANES>();
+    let (outs, out_rest) = out.split_at_mut(us.len() * bytes);
+    groups(packed, us, vs, channels, outs);
+    if !u_rest.is_empty() {
+        let (mut u, mut v, mut out) = ([0.0; LANES], [0.0; LANES], [0; 4 * LANES]);
+        u[..u_rest.len()].copy_from_slice(u_rest);
+        v[..v_rest.len()].copy_from_slice(v_rest);
+        groups(packed, &[u], &[v], channels, &mut out[..bytes]);
+        out_rest.copy_from_slice(&out[..out_rest.len()]);
     }
 }
 
-#[inline]
-fn row<const BYTES: usize>(
+/// Whole groups. One function for both kinds of pixels, with its loop: what compiles WebAssembly
+/// keeps constants in registers only within a function.
+#[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
+fn groups(
     packed: &Packed,
-    u: &[f32],
-    v: &[f32],
+    u: &[[f32; LANES]],
+    v: &[[f32; LANES]],
+    channels: Channels,
     out: &mut [u8],
-    kept: impl Fn(v128) -> v128,
 ) {
-    let (us, u_rest) = u.as_chunks::<LANES>();
-    let (vs, v_rest) = v.as_chunks::<LANES>();
-    let (outs, out_rest) = out.as_chunks_mut::<BYTES>();
-    let put = |pixels: v128, out: &mut [u8]| {
-        let mut bytes = [0; 16];
-        // SAFETY: 16 bytes are stored into 16 bytes.
-        unsafe { v128_store(bytes.as_mut_ptr().cast(), kept(pixels)) };
-        out.copy_from_slice(&bytes[..out.len()]);
-    };
-    for ((u, v), out) in us.iter().zip(vs).zip(outs) {
-        put(group(packed, u, v), out);
-    }
-    if !u_rest.is_empty() {
-        let (mut u, mut v) = ([0.0; LANES], [0.0; LANES]);
-        u[..u_rest.len()].copy_from_slice(u_rest);
-        v[..v_rest.len()].copy_from_slice(v_rest);
-        put(group(packed, &u, &v), out_rest);
+    let positions = u.iter().zip(v);
+    match channels {
+        Channels::Rgba => {
+            for ((u, v), out) in positions.zip(out.as_chunks_mut::<16>().0) {
+                // SAFETY: 16 bytes are stored into 16 bytes.
+                unsafe { v128_store(out.as_mut_ptr().cast(), group(packed, u, v)) };
+            }
+        }
+        Channels::Rgb => {
+            for ((u, v), out) in positions.zip(out.as_chunks_mut::<12>().0) {
+                let pixels = group(packed, u, v);
+                let colours = i8x16_shuffle::<0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 0, 0, 0, 0>(
+                    pixels, pixels,
+                );
+                let out = out.as_mut_ptr();
+                // SAFETY: 8 and 4 bytes are stored into 12 bytes.
+                unsafe {
+                    v128_store64_lane::<0>(colours, out.cast());
+                    v128_store32_lane::<2>(colours, out.add(8).cast());
+                }
+            }
+        }
     }
 }
 
 /// Four pixels, RGBA.
-#[inline]
+#[inline(always)]
 fn group(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES]) -> v128 {
     let stride = packed.stride();
     let inside = |[a, b, c, d]: [f32; LANES], last: usize| {
@@ -87,13 +97,13 @@ fn group(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES]) -> v128 {
         v128_and(down, i32x4_splat(127)),
     );
     let texels = packed.texels.as_ptr();
-    // The left and right texel of the upper and of the lower row.
+    // Two texels of the upper row, and two of the lower, minus 128.
     let quad = |at: i32| {
         // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so the texels begin before the
         // last column and row, which are padding.
         unsafe {
             let above = texels.add(at as usize);
-            v128_load64_lane::<1>(v128_load64_zero(above.cast()), above.add(stride).cast())
+            [above, above.add(stride)].map(|row| i16x8_load_extend_i8x8(row.cast()))
         }
     };
     let quads = [
@@ -104,43 +114,54 @@ fn group(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES]) -> v128 {
     ];
     if !packed.opaque {
         // Alpha 255 is stored as 127, the maximum: the minimum of all is 127 only if each is.
-        let least = i8x16_min(i8x16_min(quads[0], quads[1]), i8x16_min(quads[2], quads[3]));
-        if !i32x4_all_true(i32x4_gt(least, i32x4_splat(0x7eff_ffff))) {
+        let least = quads.map(|[above, below]| i16x8_min(above, below));
+        let least = i16x8_min(i16x8_min(least[0], least[1]), i16x8_min(least[2], least[3]));
+        if i16x8_bitmask(i16x8_eq(least, i16x8_splat(127))) & 0x88 != 0x88 {
             return translucent(packed, index, fx, fy);
         }
     }
-    // Per pixel: 128 - fx and fx in 16 bits each, and 256 fy twice.
-    let wx = i32x4_add(i32x4_sub(i32x4_shl(fx, 16), fx), i32x4_splat(128));
-    let wy = v128_or(i32x4_shl(fy, 8), i32x4_shl(fy, 24));
-    // Across: the sum of w (t - 128), absolute value at most 2^14.
-    let rows = |quad: v128, wx: v128| {
-        let beside =
-            i8x16_shuffle::<0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15>(quad, quad);
-        (
-            i32x4_dot_i16x8(i16x8_extend_low_i8x16(beside), wx),
-            i32x4_dot_i16x8(i16x8_extend_high_i8x16(beside), wx),
-        )
+    // Weights of the left and of the right texel, in 16 bits, and 256 fy, each twice.
+    let (right, wy) = (v128_or(fx, i32x4_shl(fx, 16)), i32x4_shl(fy, 8));
+    let left = i32x4_sub(i32x4_splat((128 << 16) | 128), right);
+    let wy = v128_or(wy, i32x4_shl(wy, 16));
+    let (first, second) = (
+        i32x4_shuffle::<0, 4, 1, 5>(left, right),
+        i32x4_shuffle::<2, 6, 3, 7>(left, right),
+    );
+    // Across, of two pixels: the sum of w (t - 128), absolute value at most 2^14.
+    let across = |a: v128, b: v128, wa: v128, wb: v128| {
+        let (a, b) = (i16x8_mul(a, wa), i16x8_mul(b, wb));
+        i16x8_add(i64x2_shuffle::<0, 2>(a, b), i64x2_shuffle::<1, 3>(a, b))
     };
     // Down: above + (below - above) f / 128, rounded to nearest by 2^6; then 2^14 for the 128
     // subtracted from each texel, and 2^6 to round.
-    let mean = |(above_a, below_a): (v128, v128), (above_b, below_b): (v128, v128), wy: v128| {
-        let above = i16x8_narrow_i32x4(above_a, above_b);
-        let below = i16x8_narrow_i32x4(below_a, below_b);
+    let mean = |[above_a, below_a]: [v128; 2], [above_b, below_b]: [v128; 2], wx: v128, wy| {
+        let (wa, wb) = (
+            i32x4_shuffle::<0, 0, 1, 1>(wx, wx),
+            i32x4_shuffle::<2, 2, 3, 3>(wx, wx),
+        );
+        let (above, below) = (
+            across(above_a, above_b, wa, wb),
+            across(below_a, below_b, wa, wb),
+        );
         let step = i16x8_q15mulr_sat(i16x8_sub(below, above), wy);
         let bias = i16x8_splat((1 << 14) + (1 << 6));
         i16x8_shr(i16x8_add(i16x8_add(above, step), bias), 7)
     };
-    let first = mean(
-        rows(quads[0], i32x4_shuffle::<0, 0, 0, 0>(wx, wx)),
-        rows(quads[1], i32x4_shuffle::<1, 1, 1, 1>(wx, wx)),
-        i32x4_shuffle::<0, 0, 1, 1>(wy, wy),
-    );
-    let second = mean(
-        rows(quads[2], i32x4_shuffle::<2, 2, 2, 2>(wx, wx)),
-        rows(quads[3], i32x4_shuffle::<3, 3, 3, 3>(wx, wx)),
-        i32x4_shuffle::<2, 2, 3, 3>(wy, wy),
-    );
-    u8x16_narrow_i16x8(first, second)
+    u8x16_narrow_i16x8(
+        mean(
+            quads[0],
+            quads[1],
+            first,
+            i32x4_shuffle::<0, 0, 1, 1>(wy, wy),
+        ),
+        mean(
+            quads[2],
+            quads[3],
+            second,
+            i32x4_shuffle::<2, 2, 3, 3>(wy, wy),
+        ),
+    )
 }
 
 /// Four pixels, of which at least one has a texel that is not opaque.
