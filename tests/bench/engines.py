@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The engine as WebAssembly in Node beside the native one on one thread: q to pixels.
 
-    tests/bench/engines.py [FILE.wasm ...]    prints a table, in about half a minute
+    tests/bench/engines.py [FILE.wasm ...]    prints a table, in a minute
 
 Needs the package for Python with the release profile (as `tests/bench/python/run` installs it; or
 PYTHONPATH), and Node 20. Without a file: the committed one. Every figure is the least of several
@@ -19,7 +19,8 @@ import mlswarp
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-ROUNDS = 12
+# The first dozens of calls are of code that has not been optimised yet; a drag has hundreds.
+ROUNDS = 60
 SIZES = (500, 500), (1920, 1080)
 COUNTS = 7, 68, 478
 

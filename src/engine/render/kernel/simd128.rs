@@ -85,7 +85,11 @@ fn group(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES]) -> v128 {
     let inside = |[a, b, c, d]: [f32; LANES], last: usize| {
         // `pmax` and `pmin` keep their first operand where the second is NaN.
         let kept = f32x4_pmax(f32x4_splat(0.0), f32x4(a, b, c, d));
-        i32x4_trunc_sat_f32x4(f32x4_pmin(f32x4_splat((last * 128) as f32), kept))
+        let kept = f32x4_pmin(f32x4_splat((last * 128) as f32), kept);
+        // At most 2^22, so the sum with 2^23 has its whole part as fraction. Three instructions; a
+        // conversion that saturates takes more than that for what does not occur here.
+        let sum = f32x4_add(f32x4_floor(kept), f32x4_splat((1 << 23) as f32));
+        v128_and(sum, i32x4_splat((1 << 23) - 1))
     };
     let (across, down) = (inside(*u, packed.width - 1), inside(*v, packed.height - 1));
     let index = i32x4_add(
