@@ -153,8 +153,8 @@ pub extern "C" fn labels(values: u32, width: u32, height: u32, bits: u32) -> u32
 }
 
 /// Draws an image, labels or, for 0, how much of each pixel is covered. `warp`: a warp object whose
-/// `output` counts. The result: a buffer with width, height and the number (u32) of a buffer with the
-/// samples, as many for a pixel as the subject has.
+/// `output` counts. The result: a buffer with width, height and the number of another (u32), which
+/// has the samples, as many for a pixel as the subject has.
 #[unsafe(no_mangle)]
 pub extern "C" fn draw(pose: u32, subject: u32, warp: u32) -> u32 {
     result(|| {
