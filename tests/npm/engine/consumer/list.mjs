@@ -9,6 +9,7 @@ export const PICTURES = {
   lines: "rocket.jpg",
   auto: "chelsea.png",
   morphing: "chelsea.png",
+  cutout: "horse-cutout.png",
 };
 const ENDINGS = { jpeg: "jpg", webp: "webp", tiff: "tif" };
 
