@@ -74,8 +74,12 @@ class WebSocket:
         try:
             self.socket.sendall(head + mask + masked)
         except OSError:
-            self.close()
-            raise Closed(WENT_AWAY) from None
+            # The other side has closed the connection, and may have said why: that has arrived.
+            while True:
+                while frame := self._frame():
+                    if frame[1] == CLOSE:
+                        raise self._closed(frame[2]) from None
+                self._more()
 
     def receive(self, until):
         """The next message as (kind, bytes), or None after the deadline."""
@@ -95,14 +99,17 @@ class WebSocket:
             if kind == PING:
                 self.send(payload, PONG)
             elif kind == CLOSE:
-                self.close()
-                raise Closed(int.from_bytes(payload[:2], "big") or WENT_AWAY)
+                raise self._closed(payload)
             else:
                 # A message may consist of several frames; the first has its kind.
                 kind, before = self.begun or (kind, b"")
                 self.begun = None if last else (kind, before + payload)
                 if last:
                     return kind, before + payload
+
+    def _closed(self, payload):
+        self.close()
+        return Closed(int.from_bytes(payload[:2], "big") or WENT_AWAY)
 
     def _frame(self):
         """A complete received frame as (final, kind, bytes), or None. Servers do not mask."""
