@@ -182,6 +182,20 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
     assert frames_of(animation) == frames_of(animation_by_server(server, page.warp(), 3))
     page.keys("Control+z")
 
+    # Folds are removed by the engine, too.
+    corners = [[20, 20], [430, 20], [20, 280], [430, 280]]
+    pulled = {"p": [*corners, [100, 150]], "q": [*corners, [330, 150]]}
+    file = {"name": "pulled.json", "mimeType": "application/json"}
+    page.page.set_input_files("#file", {**file, "buffer": json.dumps(pulled).encode()})
+    page.body("[data-folds]:not([data-folds='0'])")
+    page.page.check("#remove-folds")
+    page.body("[data-folds='0']")
+    assert downloaded(page) == digest(by_server(server, page.warp(), CAT))
+    assert page.warp()["folds"] == "remove"
+    page.keep("static-unfolded")
+    page.keys("Control+z", "Control+z")
+    assert downloaded(page) == png
+
     # Nothing but files was asked for.
     assert {method for method, _ in host.http.asked} == {"GET"}
     assert not [path for _, path in host.http.asked if "sessions" in path]

@@ -499,14 +499,32 @@ describe("in Chromium", () => {
     assert.equal(warp.p.length, 4);
     assert.ok(Math.hypot(warp.p[3][0] - warp.q[3][0], warp.p[3][1] - warp.q[3][1]) > 5);
     assert.ok(residual < 0.25, `${residual}`);
-    const bytes = await get(where, async (element) => [
-      ...new Uint8Array(await (await element.toBlob()).arrayBuffer()),
-    ]);
-    const form = new FormData();
-    form.set("image", new Blob([file("tests/images/chelsea.png")]));
-    form.set("warp", JSON.stringify(warp));
-    const direct = await fetch(`${host.open.address}/warp`, { method: "POST", body: form });
-    assert.equal(sha(Buffer.from(bytes)), sha(Buffer.from(await direct.arrayBuffer())));
+    const asByServer = async (warp) => {
+      const bytes = await get(where, async (element) => [
+        ...new Uint8Array(await (await element.toBlob()).arrayBuffer()),
+      ]);
+      const form = new FormData();
+      form.set("image", new Blob([file("tests/images/chelsea.png")]));
+      form.set("warp", JSON.stringify(warp));
+      const direct = await fetch(`${host.open.address}/warp`, { method: "POST", body: form });
+      assert.equal(sha(Buffer.from(bytes)), sha(Buffer.from(await direct.arrayBuffer())));
+      return direct.headers.get("Warp-Folds");
+    };
+    await asByServer(warp);
+    // A fold is removed as by the service.
+    const corners = [
+      [20, 20],
+      [430, 20],
+      [20, 280],
+      [430, 280],
+    ];
+    const pulled = { p: [...corners, [100, 150]], q: [...corners, [330, 150]], folds: "remove" };
+    await where.evaluate((warp) => (document.querySelector("mls-warp").warp = warp), pulled);
+    await ready(where);
+    const removed = await get(where, (element) => element.warp);
+    assert.equal(removed.folds, "remove");
+    assert.equal(await asByServer(removed), "0");
+    await assert.rejects(asByServer({ ...removed, folds: "report" }), assert.AssertionError);
     // What the engine refuses names the handles.
     await get(
       where,

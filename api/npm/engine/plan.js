@@ -13,7 +13,7 @@ import { Pose } from "./pose.js";
  *   method?: Exclude<Method, "arap">, alpha?: number, weights?: number[], depth?: number[],
  *   point_mass?: number, smoothing?: number,
  *   align?: "none" | "rigid" | "similarity" | "affine", units?: "px" | "normalized",
- *   grid?: object | "auto" | "pixel", coincident?: object, folds?: "report" | "reject",
+ *   grid?: object | "auto" | "pixel", coincident?: object, folds?: "report" | "reject" | "remove",
  *   beier_neely?: { a?: number, b?: number, p?: number },
  * }} PlanOptions
  */

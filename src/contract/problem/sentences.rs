@@ -155,8 +155,7 @@ pub(super) fn of_warp(error: &WarpError) -> String {
         }
         WarpError::NotUnfolded => {
             "`folds` can be `remove` with the methods `rigid`, `similarity`, `affine`, and `tps` \
-                without `smoothing`, and with the metric `euclidean`, by the service and the \
-                Python package; use `report` or `reject` here"
+                without `smoothing`, and with the metric `euclidean`; use `report` or `reject` here"
                 .to_owned()
         }
         WarpError::Unreachable { .. } => {

@@ -231,7 +231,6 @@ impl Arc {
 
     /// The angle, from `q = over / under`, to 2 ulp: half as many operations of [`angle`] wait for
     /// each other.
-    #[cfg(feature = "unfold")]
     #[inline(always)]
     pub(crate) fn angle(self, q: f64) -> f64 {
         let z = q * q;
@@ -359,7 +358,6 @@ mod tests {
                 angle(y, x),
                 y.atan2(x)
             );
-            #[cfg(feature = "unfold")]
             {
                 let arc = Arc::new(y, x);
                 let quick = arc.angle(arc.over / arc.under);

@@ -49,7 +49,6 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod transform;
-#[cfg(feature = "unfold")]
 mod unfolded;
 mod work;
 

@@ -1,12 +1,10 @@
 //! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
-#[cfg(feature = "unfold")]
 use std::sync::Arc;
 
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
 use super::resolved_rest::FINE_BYTES;
-#[cfg(feature = "unfold")]
 use super::unfolded::Unfolded;
 use super::{
     CompiledRest, Digest, Folds, Region, RemovedFolds, ResolvedRest, Units, Warning, WarpError,
@@ -61,7 +59,6 @@ pub struct PosedMesh {
     exceeded: Vec<(u32, u32)>,
     region: Option<Region>,
     /// What the mesh follows from, if its folds were removed.
-    #[cfg(feature = "unfold")]
     unfolded: Option<Arc<Unfolded>>,
 }
 
@@ -129,7 +126,6 @@ impl PosedMesh {
     ) -> Result<Self, WarpError> {
         setup.check_folds(folds)?;
         let (mesh, quality) = setup.mesh(plan, f, pose, cancelled)?;
-        #[cfg(feature = "unfold")]
         let (mesh, unfolded) = match folds {
             Folds::Remove => match setup.unfold(pose, &mesh, cancelled)? {
                 Some((mesh, unfolded)) => (mesh, Some(Arc::new(unfolded))),
@@ -167,7 +163,6 @@ impl PosedMesh {
         if let Some(depth) = setup.depth.as_ref().filter(|_| mesh.order().is_some()) {
             digest = depth.digest(digest);
         }
-        #[cfg(feature = "unfold")]
         if unfolded.is_some() {
             digest = Collector::new("mlswarp unfolded 2")
                 .bytes(&digest.0)
@@ -182,7 +177,6 @@ impl PosedMesh {
             handles,
             exceeded: Vec::new(),
             region: None,
-            #[cfg(feature = "unfold")]
             unfolded,
         })
     }
@@ -231,22 +225,15 @@ impl PosedMesh {
     /// Whether folds were removed: then what the mesh draws is the map.
     #[must_use]
     pub const fn is_unfolded(&self) -> bool {
-        #[cfg(feature = "unfold")]
-        return self.unfolded.is_some();
-        #[cfg(not(feature = "unfold"))]
-        false
+        self.unfolded.is_some()
     }
 
     /// What was done to remove folds, if some were.
     #[must_use]
     pub fn removed_folds(&self) -> Option<RemovedFolds> {
-        #[cfg(feature = "unfold")]
-        return self.unfolded.as_ref().map(|of| of.removed());
-        #[cfg(not(feature = "unfold"))]
-        None
+        self.unfolded.as_ref().map(|of| of.removed())
     }
 
-    #[cfg(feature = "unfold")]
     pub(super) const fn unfolded(&self) -> Option<&Arc<Unfolded>> {
         self.unfolded.as_ref()
     }
@@ -254,10 +241,7 @@ impl PosedMesh {
     /// Memory for mapping many positions outside of the image, if folds were removed, bytes.
     #[must_use]
     pub fn factor_bytes(&self) -> u64 {
-        #[cfg(feature = "unfold")]
-        return self.unfolded.as_ref().map_or(0, |of| of.factor_bytes());
-        #[cfg(not(feature = "unfold"))]
-        0
+        self.unfolded.as_ref().map_or(0, |of| of.factor_bytes())
     }
 
     /// Prepares mapping many positions outside of the image, if folds were removed.
@@ -265,21 +249,16 @@ impl PosedMesh {
     /// # Errors
     /// Cancelled.
     pub fn keep_factors(&self, cancelled: IsCancelled<'_>) -> Result<(), WarpError> {
-        #[cfg(feature = "unfold")]
         if let Some(unfolded) = &self.unfolded {
             return unfolded.keep_factors(cancelled).ok_or(WarpError::Cancelled);
         }
-        let _ = cancelled;
         Ok(())
     }
 
     /// Memory of the cells that are halved, and of the map if folds were removed, bytes.
     #[must_use]
     pub fn extra_bytes(&self) -> u64 {
-        #[cfg(feature = "unfold")]
         let unfolded = self.unfolded.as_ref().map_or(0, |of| of.bytes());
-        #[cfg(not(feature = "unfold"))]
-        let unfolded = 0;
         (self.mesh.vertices() - self.mesh.grid().len() as u64) * FINE_BYTES + unfolded
     }
 

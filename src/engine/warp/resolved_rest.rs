@@ -291,10 +291,7 @@ impl ResolvedRest {
     pub fn check_folds(&self, folds: Folds) -> Result<(), WarpError> {
         match folds {
             Folds::Report | Folds::Reject => Ok(()),
-            #[cfg(feature = "unfold")]
             Folds::Remove => self.check_unfolding(),
-            #[cfg(not(feature = "unfold"))]
-            Folds::Remove => Err(WarpError::NotUnfolded),
         }
     }
 
@@ -372,7 +369,6 @@ impl ResolvedRest {
         } else {
             self.most_halved_bytes()
         };
-        #[cfg(feature = "unfold")]
         if folds == Folds::Remove {
             return halved.max(self.unfolding_bytes());
         }

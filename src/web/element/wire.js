@@ -7,12 +7,12 @@ import { pinOf } from "../twist.js";
  * What the element does not do has one value. The objects of methods are beside these.
  *
  * @typedef {Partial<Page.Warp> & {
- *   strength?: number, units?: string, folds?: string, [method: string]: unknown,
+ *   strength?: number, units?: string, [method: string]: unknown,
  * }} GivenWarp
  */
 
 /** The only values of fields that the element has no other way for. */
-const ONLY = { units: "px", align: "none", folds: "report" };
+const ONLY = { units: "px", align: "none" };
 
 /** @type {(value: unknown) => value is Page.Place} */
 const isPlace = (value) =>
@@ -76,12 +76,14 @@ export function handlesOf(p, q, weights, mass, depth) {
  */
 export function settingsOf(warp) {
   const { method, alpha, smoothing, point_mass: mass, metric, mask, coincident } = warp;
-  const { grid, output } = warp;
+  const { folds, grid, output } = warp;
   for (const [field, only] of Object.entries(ONLY))
     if ((warp[field] ?? only) !== only)
       throw new TypeError(`${field}: the element has only "${only}"`);
   if (method !== undefined && !METHODS.some(({ name }) => name === method))
     throw new TypeError(`method: one of ${METHODS.map(({ name }) => name).join(", ")}`);
+  if (!["report", "remove", undefined].includes(folds))
+    throw new TypeError('folds: "report" or "remove"');
   const given = METHODS.filter(({ name, object }) => object && warp[name] !== undefined);
   const own = Object.fromEntries(
     given.map(({ name }) => [name, /** @type {Record<string, number>} */ (warp[name])]),
@@ -96,6 +98,7 @@ export function settingsOf(warp) {
     ...(metric !== undefined && { metric }),
     ...(mask?.threshold !== undefined && { threshold: mask.threshold }),
     ...(coincident !== undefined && { coincident }),
+    ...(folds !== undefined && { folds }),
     ...(cell !== undefined && { grid: /** @type {Page.Grid} */ (cell) }),
     ...output,
   };

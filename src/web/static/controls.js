@@ -6,7 +6,7 @@ import { prepare as prepareEngine } from "./engine.js";
 
 /** Controls of the page that need a server, by their ids. */
 const CONTROLS = [
-  ...["blend-open", "sample-horse", "method-arap", "metric-geodesic", "fit", "remove-folds"],
+  ...["blend-open", "sample-horse", "method-arap", "metric-geodesic", "fit"],
   ...["align", "annotations-save", "copy-curl", "copy-link", "export-curl", "key-open"],
 ];
 

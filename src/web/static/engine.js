@@ -163,8 +163,6 @@ async function drawn(file, warp, { region, signal } = {}) {
 async function planned({ p, output: _, ...rest }, size) {
   if (rest.method === "arap" || rest.metric === "geodesic")
     throw new Refused(422, "needs_server", "What follows the outline of a picture needs a server.");
-  if (rest.folds === "remove")
-    throw new Refused(422, "needs_server", "A picture without folds needs a server.");
   return by("preview", async (engine) => {
     const options = /** @type {PlanOptions} */ ({ size, ...rest });
     const plan = await engine.plan(/** @type {Handle[]} */ (p), options);

@@ -10,11 +10,9 @@ use std::sync::atomic::AtomicUsize;
 
 use crate::parallel::prelude::*;
 
-#[cfg(feature = "unfold")]
 use super::unfolded::Unfolded;
 use super::{CoordinateFrame, PosedMesh, ResolvedRest, Task, Units, WarpError, work};
 use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};
-#[cfg(feature = "unfold")]
 use crate::geometry::Mesh;
 use crate::geometry::Point;
 pub use outlines::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, samples_of};
@@ -43,7 +41,6 @@ enum PositionMap<'a> {
     Forward(PosedMap<'a>),
     Inverse(Inverse<'a>),
     /// What a mesh draws, and beside it what that follows from.
-    #[cfg(feature = "unfold")]
     Drawn(&'a Mesh, &'a Unfolded),
 }
 
@@ -57,7 +54,6 @@ impl ResolvedRest {
     /// The map of a pose that was drawn: f, or what the mesh draws if folds were removed.
     #[must_use]
     pub fn transform_of<'a>(&'a self, pose: &'a Pose, posed: &'a PosedMesh) -> Transform<'a> {
-        #[cfg(feature = "unfold")]
         if let Some(unfolded) = posed.unfolded() {
             let drawn = Transform::new(PositionMap::Drawn(posed.mesh(), unfolded), self);
             let per_position = drawn.per_position.saturating_mul(unfolded.factors());
@@ -151,7 +147,6 @@ impl<'a> Transform<'a> {
     const fn frames(&self) -> (&CoordinateFrame, &CoordinateFrame) {
         match self.map {
             PositionMap::Forward(_) => (&self.rest, &self.posed),
-            #[cfg(feature = "unfold")]
             PositionMap::Drawn(..) => (&self.rest, &self.posed),
             PositionMap::Inverse(_) => (&self.posed, &self.rest),
         }
@@ -195,7 +190,6 @@ impl<'a> Transform<'a> {
                 work::at_most(Task::Positions, self.max_work, taken)?;
                 inverse.map(places, cancelled)
             }
-            #[cfg(feature = "unfold")]
             PositionMap::Drawn(mesh, unfolded) => map_drawn(mesh, unfolded, places, cancelled),
         };
         mapped.ok_or(WarpError::Cancelled)
@@ -234,7 +228,6 @@ impl<'a> Transform<'a> {
 }
 
 /// `None` when cancelled.
-#[cfg(feature = "unfold")]
 fn map_drawn(
     mesh: &Mesh,
     unfolded: &Unfolded,

@@ -10,6 +10,7 @@ export const PICTURES = {
   auto: "chelsea.png",
   morphing: "chelsea.png",
   cutout: "horse-cutout.png",
+  unfolded: "chelsea.png",
 };
 const ENDINGS = { jpeg: "jpg", webp: "webp", tiff: "tif" };
 

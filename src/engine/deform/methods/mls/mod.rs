@@ -8,7 +8,6 @@ pub(in crate::deform) mod geodesic;
 pub(in crate::deform) mod incomplete_beta;
 pub(in crate::deform) mod metric;
 pub(in crate::deform) mod moments;
-#[cfg(feature = "unfold")]
 mod posed_sums;
 mod quadrature;
 pub(in crate::deform) mod row;
@@ -18,12 +17,10 @@ mod segments;
 use std::sync::Arc;
 
 use self::falloff::Falloff;
-#[cfg(feature = "unfold")]
 use self::fitted_moments::{affine_factors, similarity_factors};
 use self::incomplete_beta::IncompleteBeta;
 use self::metric::Euclidean;
 use self::moments::MomentInputs;
-#[cfg(feature = "unfold")]
 use self::posed_sums::PosedSums;
 use self::row::RowInputs;
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
@@ -299,7 +296,6 @@ impl PointMap for MovingLeastSquares {
         )))
     }
 
-    #[cfg(feature = "unfold")]
     fn posed_once<'a>(
         &'a self,
         set: &'a RestSet,

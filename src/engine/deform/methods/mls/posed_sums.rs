@@ -80,7 +80,8 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
     }
 
     /// How half of the positions move; `beyond`: the moments of segments, if they are not quick.
-    #[inline(always)]
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     fn fitted(
         &self,
         x: &[f64; TILE_LANES],
@@ -129,7 +130,8 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
     }
 
     /// Moments from a at all alphas but 2.
-    #[inline(always)]
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, inline(never))]
     fn put_moments(&self, v: &Vertices<LANES>, moments: &mut Vec<[[f64; LANES]; 3]>) {
         moments.clear();
         if self.falloff.power() == Power::Two {

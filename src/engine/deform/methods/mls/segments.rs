@@ -13,7 +13,6 @@ use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
 use super::quadrature::Sight;
 use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
-#[cfg(feature = "unfold")]
 use crate::geometry::lane_math::Arc;
 use crate::geometry::lane_math::angle;
 
@@ -25,10 +24,8 @@ const CLOSED_FROM: f64 = 1e-3;
 const CLOSED_TO: f64 = 32.0;
 
 /// Angles below which quick moments are those of the series: 5 terms reach 1e-15 here.
-#[cfg(feature = "unfold")]
 const QUICK_NEAR: f64 = 0.05;
 /// The least cross product that quick moments divide by, px^2.
-#[cfg(feature = "unfold")]
 const LEAST_CROSS: f64 = 1e-100;
 
 /// The position of a segment relative to N vertices.
@@ -279,7 +276,6 @@ impl<const N: usize> View<N> {
 /// `sum w t^m` of alpha 2, t from a in lengths of the segment: about 1e-13 of the largest of them,
 /// for sums that cancel beside the segment in any case. A quarter of the time of
 /// [`View::moments`].
-#[cfg(feature = "unfold")]
 #[inline(always)]
 pub(in crate::deform) fn quick_moments<const N: usize>(
     s: &RestSegment,
@@ -333,7 +329,6 @@ pub(in crate::deform) fn quick_moments<const N: usize>(
     m
 }
 
-#[cfg(feature = "unfold")]
 #[inline(always)]
 fn series(terms: &[f64], x: f64) -> f64 {
     let near = &terms[..5];
