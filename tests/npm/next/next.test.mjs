@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { spawn, spawnSync } from "node:child_process";
 import { once } from "node:events";
 import { readFileSync, writeFileSync } from "node:fs";
+import { resolve } from "node:path";
 import { createInterface } from "node:readline";
 import { test } from "node:test";
 
@@ -45,7 +46,7 @@ test("Next.js: a drag in the browser, and the file that Node draws", async () =>
     ]);
     writeFileSync(`${kept}warp.json`, JSON.stringify({ p: P, q, output: { format: "png" } }));
     const drawn = spawnSync(
-      process.env.MLSWARP_PROGRAM,
+      resolve(process.env.MLSWARP_PROGRAM),
       ["warp", "public/cat.jpg", "warp.json", "-o", "expected.png"],
       { cwd: kept, encoding: "utf8" },
     );
