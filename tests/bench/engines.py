@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The engine as WebAssembly in Node beside the native one on one thread: q to pixels.
 
-    tests/bench/engines.py [FILE.wasm ...]    prints a table, in a minute
+    tests/bench/engines.py [FILE.wasm ...]    prints a table, in half a minute
 
 Needs the package for Python with the release profile (as `tests/bench/python/run` installs it; or
 PYTHONPATH), and Node 20. Without a file: the committed one. Every figure is the least of several
