@@ -14,10 +14,11 @@ use mlswarp_server::pool::arena;
 /// A trim takes some milliseconds. The least time holds then.
 const TRIM_INTERVAL: Duration = Duration::from_secs(3);
 const MIN_TRIM_INTERVAL: Duration = Duration::from_millis(50);
-/// On machines with more processors than those on which long work uses the main arena only, and
-/// drags others (`pool/arena.rs`).
-const PROCESSORS_PER_ARENA: usize = 4;
+/// On machines with at most this many processors, long work uses the main arena only, and drags use
+/// others (`pool/arena.rs`).
 const MAX_CHOSEN: usize = 4;
+/// On larger machines, any thread uses any arena.
+const PROCESSORS_PER_ARENA: usize = 4;
 /// Larger blocks are mapped by themselves. Frames of a drag are made of smaller ones.
 const MMAP_THRESHOLD: c_int = 4 << 20;
 /// High, or a drag that frees its frame would return what its next frame takes. But a trim leaves
@@ -46,7 +47,8 @@ pub(crate) fn start() {
         // The main arena ends there.
         arena::choose(sbrk(0).addr());
     }
-    // The main one; that of the thread that trims, and of drags; one for each async thread.
+    // The main one; that of the thread that trims, and of drags; one for each async thread, unless
+    // the configuration, which is not read yet, asks for more of them.
     let arenas = if is_chosen {
         2 + processors.div_ceil(2)
     } else {

@@ -236,16 +236,24 @@ mod tests {
         ] {
             let mut mesh = shaken(columns, rows, reach);
             let count = |mesh: &Mesh| mesh.folding(&|| false).unwrap().cells;
-            assert_eq!(
-                count(&mesh),
-                mesh.folded_cells().count() as u64,
+            // Each cell by itself: the count and the list share the pass over rows.
+            let one_by_one = |mesh: &Mesh| {
+                let orientation = mesh.folding(&|| false).unwrap().orientation;
+                let cells = (0..rows - 1).flat_map(|j| (0..columns - 1).map(move |i| (i, j)));
+                let folded = cells.filter(|&(i, j)| mesh.is_folded(i, j, orientation));
+                folded.collect::<Vec<_>>()
+            };
+            assert!(
+                mesh.folded_cells().eq(one_by_one(&mesh))
+                    && count(&mesh) == one_by_one(&mesh).len() as u64,
                 "{columns} x {rows}, {reach}"
             );
             // NaN folds what it touches.
             let mut displacement = mesh.displacement().to_vec();
             displacement[0][1] = f32::NAN;
             mesh = Mesh::new(*mesh.grid(), displacement);
-            assert_eq!(count(&mesh), mesh.folded_cells().count() as u64);
+            assert!(mesh.folded_cells().eq(one_by_one(&mesh)));
+            assert_eq!(count(&mesh), one_by_one(&mesh).len() as u64);
             assert!(
                 mesh.is_folded(0, 0, Orientation::Upright)
                     && mesh.is_folded(0, 0, Orientation::Mirrored)
