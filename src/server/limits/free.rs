@@ -1,6 +1,8 @@
 //! Where large values are freed. Unmapping takes a millisecond for every few tens of megabytes, for
 //! which the runtime's thread would not serve anybody.
 
+use std::ops::Deref;
+
 use tokio::runtime::Handle;
 
 /// Values of fewer bytes are freed where they are dropped: handing them to another thread would
@@ -15,6 +17,33 @@ pub fn free<T: Send + 'static>(value: T, bytes: u64) {
             drop(runtime.spawn_blocking(move || drop(value)))
         }
         _ => drop(value),
+    }
+}
+
+/// A value of many small parts, which [`free`] drops whatever its size.
+#[derive(Debug)]
+pub struct FreedAside<T: Send + 'static>(Option<T>);
+
+impl<T: Send> FreedAside<T> {
+    /// Takes the value.
+    pub const fn new(value: T) -> Self {
+        Self(Some(value))
+    }
+}
+
+impl<T: Send> Deref for FreedAside<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.0
+            .as_ref()
+            .expect("it is taken only when it is dropped")
+    }
+}
+
+impl<T: Send> Drop for FreedAside<T> {
+    fn drop(&mut self) {
+        free(self.0.take(), u64::MAX);
     }
 }
 
@@ -44,7 +73,9 @@ mod tests {
             .unwrap();
         runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE_BYTES - 1) });
         assert_eq!(said.recv().unwrap(), here, "a small one");
-        runtime.block_on(async { free(Large(says), MIN_ASIDE_BYTES) });
+        runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE_BYTES) });
+        assert_ne!(said.recv().unwrap(), here);
+        runtime.block_on(async { drop(FreedAside::new(Large(says))) });
         assert_ne!(said.recv().unwrap(), here);
     }
 }

@@ -26,9 +26,10 @@ use super::parts::plans::HeldSetup;
 use super::reading::{Held, part};
 use crate::cache::{CacheEntry, CacheKey};
 use crate::client::Client;
+use crate::limits::free::FreedAside;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, QueueKey, Ticket};
+use crate::pool::{Cancel, QueueKey, Ticket, aside};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
 use crate::wire::blend::{BlendObject, BlendReport};
@@ -79,8 +80,8 @@ struct BlendJob {
     pub(super) app: App,
     pub(super) client: Client,
     pub(super) object: Held<BlendObject>,
-    pub(super) images: Vec<SourceImage>,
-    pub(super) shapes: BlendedShape,
+    pub(super) images: FreedAside<Vec<SourceImage>>,
+    pub(super) shapes: FreedAside<BlendedShape>,
     pub(super) canvas: Canvas,
     pub(super) target: Target,
     pub(super) format: Format,
@@ -89,7 +90,7 @@ struct BlendJob {
 /// A finished sum.
 struct BlendedFrame {
     image: Arc<CacheEntry<Image>>,
-    landmarks: Vec<Handle>,
+    landmarks: Arc<Vec<Handle>>,
     report: BlendReport,
     warnings: Vec<Warning>,
 }
@@ -157,7 +158,6 @@ impl BlendJob {
             self.object.shape_weights(frame),
             self.object.colour_weights(frame),
         );
-        let target = Arc::new(self.shapes.target(&shape));
         let quota = self.app.admission.response_quota(self.client);
         let bytes = ImageSum::bytes(self.target.extent);
         let mut memory = self
@@ -165,7 +165,15 @@ impl BlendJob {
             .admission
             .reserve_aside(|budget| budget.take_for(MemoryClass::Frame, &quota, bytes))
             .await?;
-        let mut sum = ImageSum::new(self.canvas, self.target.extent, self.object.space, &colour);
+        let (job, weights) = (Arc::clone(self), (shape.clone(), colour.clone()));
+        let begin = move |_: &Cancel| {
+            let BlendJob { canvas, target, .. } = &*job;
+            (
+                Arc::new(job.shapes.target(&weights.0)),
+                ImageSum::new(*canvas, target.extent, job.object.space, &weights.1),
+            )
+        };
+        let (target, mut sum) = self.ticket().await?.run(begin).await?;
         let (mut folds, mut warnings) = (Vec::new(), Vec::new());
         for (index, weight) in colour.iter().enumerate() {
             // An image that adds no colour is needed only for the metadata of the result.
@@ -183,9 +191,13 @@ impl BlendJob {
             folds.push(report.0);
             warnings.extend(report.1);
         }
-        let ticket = self.ticket().await?;
-        let finished = ticket
-            .run(move |cancel| sum.finish(&|| cancel.is_cancelled()))
+        let (job, ticket) = (Arc::clone(self), self.ticket().await?);
+        let finish = move |cancel: &Cancel| {
+            let finished = sum.finish(&|| cancel.is_cancelled())?;
+            Ok::<_, WarpError>(finished.map(|finished| (finished, job.shapes.kept().to_vec())))
+        };
+        let (finished, kept) = ticket
+            .run(finish)
             .await??
             .ok_or_else(|| Problem::new(Code::Internal, "a blend without images"))?;
         memory.shrink_to(finished.image.bytes());
@@ -199,11 +211,11 @@ impl BlendJob {
             width: extent.width(),
             height: extent.height(),
             canvas: AsJson(self.canvas),
-            landmarks: self.shapes.kept().to_vec(),
+            landmarks: kept,
         };
         Ok(BlendedFrame {
             image: Arc::new(CacheEntry::new(finished.image, memory)),
-            landmarks: target.to_vec(),
+            landmarks: target,
             report,
             warnings: Warning::in_order(warnings),
         })
@@ -360,7 +372,7 @@ impl BlendJob {
     async fn files(
         &self,
         image: Arc<CacheEntry<Image>>,
-        landmarks: Vec<Handle>,
+        landmarks: Arc<Vec<Handle>>,
     ) -> Result<(Bytes, Bytes), Problem> {
         let ticket = self.ticket().await?;
         let job = self.draw_job(&ticket, image).await?;
@@ -395,21 +407,25 @@ impl BlendStream {
 
     /// The next bytes; `None` at the end, also after an error.
     pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
-        let mut package = self.package.take()?;
+        let package = self.package.take()?;
         if self.done >= self.frames() {
-            let index = serde_json::json!({"frames": self.reports});
-            let index = serde_json::to_vec(&index).unwrap_or_default();
-            return Some(package.finish("report.json", &index).map(Bytes::from));
+            let reports = std::mem::take(&mut self.reports);
+            let finish = move || {
+                let index = serde_json::json!({"frames": reports});
+                let index = serde_json::to_vec(&index).unwrap_or_default();
+                package.finish("report.json", &index).map(Bytes::from)
+            };
+            return Some(aside(true, finish).await);
         }
-        let made = self.frame(&mut package).await;
-        if made.is_ok() {
+        let made = self.frame(package).await;
+        Some(made.map(|(package, bytes)| {
             self.done += 1;
             self.package = Some(package);
-        }
-        Some(made)
+            bytes
+        }))
     }
 
-    async fn frame(&mut self, package: &mut Package) -> Result<Bytes, Problem> {
+    async fn frame(&mut self, mut package: Package) -> Result<(Package, Bytes), Problem> {
         let BlendedFrame {
             image,
             landmarks,
@@ -430,7 +446,12 @@ impl BlendStream {
         let warnings = self.warnings.drain(..).chain(warnings).collect();
         self.warnings = Warning::in_order(warnings);
         let (file, json) = self.job.files(image, landmarks).await?;
-        let packed = self.form.pack(vec![(name, file), (of_landmarks, json)])?;
-        package.push(packed).map(Bytes::from)
+        let form = self.form;
+        let append = move || {
+            let packed = form.pack(vec![(name, file), (of_landmarks, json)])?;
+            let bytes = package.push(packed)?.into();
+            Ok((package, bytes))
+        };
+        aside(true, append).await
     }
 }

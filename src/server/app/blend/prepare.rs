@@ -11,6 +11,7 @@ use super::{BlendJob, BlendUpload, BlendedSource, SourceImage};
 use crate::app::App;
 use crate::app::batch::BatchForm;
 use crate::client::Client;
+use crate::limits::free::FreedAside;
 use crate::limits::memory::MemoryClass;
 use crate::pool::{Cancel, QueueKey};
 use crate::problem::{Code, Problem};
@@ -77,8 +78,8 @@ pub(super) async fn prepare(
             app: of_job,
             client,
             object,
-            images,
-            shapes: shapes.blended,
+            images: FreedAside::new(images),
+            shapes: FreedAside::new(shapes.blended),
             canvas,
             target,
             format,

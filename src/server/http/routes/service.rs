@@ -11,6 +11,7 @@ use crate::app::{App, metrics_text};
 use crate::http::assets::Asset;
 use crate::http::response;
 use crate::http::response::Refusal;
+use crate::pool::aside;
 
 pub(super) const OPENAPI: &str = include_str!("../../../../api/openapi.json");
 /// The address of the service in the document.
@@ -40,7 +41,8 @@ pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
         ),
         (CACHE_CONTROL, "no-store"),
     ];
-    (headers, metrics_text::text(&app))
+    // Reads a file of the system, and writes some hundred lines.
+    (headers, aside(true, move || metrics_text::text(&app)).await)
 }
 
 /// The answer of `GET /openapi.json`, with the public path as the address of the service.
