@@ -210,9 +210,9 @@ export type Grid = "auto" | "pixel" | {
  * 422 `not_supported`). The map in the image is then what the grid draws, for `/points`,
  * labels and the inverse too: its cells are not divided. 422 `unreachable` names handles
  * that would have to pass through each other, or through themselves; the warning
- * `folds_remain` counts cells that still fold. It takes some milliseconds to some tens of
- * them for each pose. A fold is a cell whose orientation differs from that of most of the
- * image; an exact mirror image has none.
+ * `folds_remain` counts cells that still fold, or cover others at the border. It takes some
+ * milliseconds to some tens of them for each pose. A fold is a cell whose orientation
+ * differs from that of most of the image; an exact mirror image has none.
  */
 export type Folds = "report" | "reject" | "remove";
 

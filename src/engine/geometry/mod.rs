@@ -6,6 +6,7 @@
 //! position is a [`Point`], a displacement a [`Vec2`]. Points are at *rest* (where the handles were
 //! placed) or *posed* (where they were moved to); images are *source* or *target*.
 
+mod border;
 mod cell_tree;
 mod cut_cells;
 mod display_number;

@@ -358,7 +358,7 @@ pub enum Warning {
     /// The metric follows the mask of the image, and every pixel is inside: it is that of the
     /// plane.
     MaskIsEverything,
-    /// Folds were to be removed, and cells remain folded.
+    /// Folds were to be removed, and cells remain folded, or cover others at the border.
     FoldsRemain {
         /// Their number.
         cells: u64,

@@ -155,8 +155,11 @@ impl PosedMesh {
         if orientation == Orientation::Mirrored {
             report.warn(Warning::Mirrored);
         }
-        if folds == Folds::Remove && cells > 0 {
-            report.warn(Warning::FoldsRemain { cells });
+        if let Some(of) = &unfolded {
+            let cells = cells + of.border_crossings();
+            if cells > 0 {
+                report.warn(Warning::FoldsRemain { cells });
+            }
         }
         let (units, handles) = (setup.units(), setup.posed_handles(pose));
         let (mut digest, unit) = (digest(setup, pose), setup.unit());
@@ -164,7 +167,7 @@ impl PosedMesh {
             digest = depth.digest(digest);
         }
         if unfolded.is_some() {
-            digest = Collector::new("mlswarp unfolded 2")
+            digest = Collector::new("mlswarp unfolded 3")
                 .bytes(&digest.0)
                 .finish();
         }

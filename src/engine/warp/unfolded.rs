@@ -24,6 +24,7 @@ pub(super) struct Unfolded {
     /// Of the linear systems of all factors, bytes.
     system_bytes: u64,
     removed: RemovedFolds,
+    border_crossings: u64,
 }
 
 impl Unfolded {
@@ -55,6 +56,11 @@ impl Unfolded {
     /// What was done.
     pub(super) const fn removed(&self) -> RemovedFolds {
         self.removed
+    }
+
+    /// How often the border of the mesh crosses itself, so that positions are covered twice.
+    pub(super) const fn border_crossings(&self) -> u64 {
+        self.border_crossings
     }
 
     /// Memory without the factors, bytes.
@@ -129,12 +135,13 @@ impl ResolvedRest {
         let evaluations = u32::try_from(left / of_evaluation.max(1)).unwrap_or(u32::MAX);
         let mended = untangle(&mesh, &self.targets(pose), evaluations, cancelled);
         let mended = mended.ok_or(WarpError::Cancelled)?;
-        let folded = plain.folding(cancelled).ok_or(WarpError::Cancelled)?;
+        let crossings = mended.mesh.border_crossings(cancelled);
+        let border_crossings = crossings.ok_or(WarpError::Cancelled)?;
         let handles = self.field().handles().handles().len() as u64;
         let of_factor = system_bytes(self.field().method(), handles);
         let removed = RemovedFolds {
             factors: product.count() as u64,
-            cells: folded.cells,
+            cells: product.folded(),
             mended: mended.mended,
         };
         let unfolded = Unfolded {
@@ -142,6 +149,7 @@ impl ResolvedRest {
             product,
             factors: OnceLock::new(),
             removed,
+            border_crossings,
         };
         Ok(Some((mended.mesh, unfolded)))
     }

@@ -107,6 +107,7 @@ pub struct FoldFree {
     /// The best motion of all handles, which comes last: two rows.
     motion: Option<[[f64; 3]; 2]>,
     is_reached: bool,
+    folded: u64,
 }
 
 /// A map whose handles at rest are those that the one before has posed.
@@ -184,7 +185,11 @@ impl FoldFree {
             let handles = handles.into_iter().map(owner).collect();
             return Err(FoldFreeError::Unreachable(handles));
         }
-        Self::composed(rest, &q, &lattice, work, cancelled).map(Some)
+        let composed = Self::composed(rest, &q, &lattice, work, cancelled)?;
+        Ok(Some(Self {
+            folded: cells,
+            ..composed
+        }))
     }
 
     /// Operations of [`FoldFree::of`] at least, if the plain f has folds.
@@ -235,6 +240,7 @@ impl FoldFree {
             steps: vec![path.rest().clone()],
             motion,
             is_reached: true,
+            folded: 0,
         };
         let mut slow = 0;
         for target in path.legs() {
@@ -277,6 +283,12 @@ impl FoldFree {
     #[must_use]
     pub const fn is_reached(&self) -> bool {
         self.is_reached
+    }
+
+    /// The cells of the plain f that fold.
+    #[must_use]
+    pub const fn folded(&self) -> u64 {
+        self.folded
     }
 
     /// Memory, bytes.

@@ -45,7 +45,8 @@ pub struct Untangled {
 
 /// Moves vertices of a mesh without subdivided or cut cells: those of cells with targets until
 /// these are met, and those near folded cells until none is folded or too much work is done; the
-/// others stay. `targets`: positions at rest, and where the mesh shall take them, px.
+/// others stay, as does the border, so that it does not come to cross itself. `targets`: positions
+/// at rest, and where the mesh shall take them, px.
 /// `most_evaluations`: of the energy, in all rounds together. `None` when cancelled.
 #[must_use]
 pub fn untangle(
@@ -275,8 +276,10 @@ impl<'a> FreePatch<'a> {
             if cancelled() {
                 return None;
             }
-            let lines =
-                |line: u32, all: u32| line.saturating_sub(rings)..=(line + 1 + rings).min(all - 1);
+            // The lines between the first and the last one.
+            let lines = |line: u32, all: u32| {
+                line.saturating_sub(rings).max(1)..(line + 2 + rings).min(all - 1)
+            };
             for y in lines(*j, grid.rows()) {
                 for x in lines(*i, grid.columns()) {
                     free[y as usize * grid.columns() as usize + x as usize] = Some(0);

@@ -2,9 +2,9 @@
 
 use serde_json::Value;
 
-use crate::deform::{Handle, METHODS};
+use crate::deform::{Handle, METHODS, Method};
 use crate::geometry::Point;
-use crate::warp::{Folds, GridSpec, WarpError};
+use crate::warp::{Folds, GridSpec, Warning, WarpError};
 use crate::{PosedWarp, Warper};
 
 fn point(v: &Value) -> [f64; 2] {
@@ -132,4 +132,62 @@ fn folds_of_the_reference_cases_are_removed_and_handles_are_met() {
         seen[2] += 1;
     }
     assert!(seen[0] >= 5 && seen[1] >= 1 && seen[2] >= 9, "{seen:?}");
+}
+
+/// A handle is dragged far, in small pictures: many folds are at their borders, where mended cells
+/// once lay on others.
+#[test]
+fn what_is_mended_covers_no_position_twice() {
+    let mut state = 7_u32;
+    let mut next = |most: f64| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 8) / f64::from(1_u32 << 24) * most
+    };
+    let (mut mended, mut remain) = (0, 0);
+    for k in 0..20 {
+        let place = |(x, y): (f64, f64)| Handle::Point(Point::new(x, y));
+        let count = 4 + k % 9;
+        let places: Vec<(f64, f64)> = (0..count).map(|_| (next(120.0), next(96.0))).collect();
+        let (angle, way) = (next(6.3), 16.0 + next(56.0));
+        let (sin, cos) = angle.sin_cos();
+        let p: Vec<Handle> = places.iter().copied().map(place).collect();
+        let mut q = p.clone();
+        q[0] = place((places[0].0 + way * cos, places[0].1 + way * sin));
+        let warper = Warper::builder(&p)
+            .method([Method::Rigid, Method::Similarity, Method::Affine][k % 3])
+            .with(|rest| rest.alpha = Some([1.0, 2.0][k / 3 % 2]))
+            .grid(GridSpec::Cell(4.0))
+            .folds(Folds::Remove)
+            .build([120, 96])
+            .unwrap();
+        let Ok(posed) = warper.pose(&q) else {
+            continue;
+        };
+        let warnings = &posed.report().warnings;
+        let has_folds = warnings
+            .iter()
+            .any(|warning| matches!(warning, Warning::FoldsRemain { .. }));
+        let removed = posed.posed_mesh().removed_folds();
+        if removed.is_none_or(|removed| removed.mended == 0) || has_folds {
+            remain += u32::from(has_folds);
+            continue;
+        }
+        let places: Vec<[f64; 2]> = (0..30 * 24)
+            .map(|k| [f64::from(k % 30) * 4.0 + 2.0, f64::from(k / 30) * 4.0 + 2.0])
+            .collect();
+        let back = posed
+            .unmap_points(&posed.map_points(&places).unwrap())
+            .unwrap();
+        let is_same = |(back, place): (&Option<[f64; 2]>, &[f64; 2])| {
+            back.is_some_and(|v| (v[0] - place[0]).hypot(v[1] - place[1]) < 1e-6)
+        };
+        let twice = back
+            .iter()
+            .zip(&places)
+            .filter(|pair| !is_same(*pair))
+            .count();
+        assert_eq!(twice, 0, "{k}");
+        mended += 1;
+    }
+    assert!(mended >= 10 && remain <= 2, "{mended}, {remain}");
 }

@@ -110,9 +110,7 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
                     *moments = quick_moments(s, x, y);
                 }
                 for ((_, factors), moments) in segments.iter().zip(&moments) {
-                    sums = plus_all(sums, &factors[0], moments[0]);
-                    sums = plus_all(sums, &factors[1], moments[1]);
-                    sums = plus_all(sums, &factors[2], moments[2]);
+                    sums = plus_segment(sums, factors, moments);
                 }
             }
         } else {
@@ -190,6 +188,32 @@ fn plus_all<const SUMS: usize>(
         plus_four(&mut sums[8..], &factors[8..], lanes);
     }
     sums
+}
+
+/// Adds the moments of a segment. Along it, 1 is constant, p and d are linear, and second moments
+/// are quadratic.
+#[inline(always)]
+fn plus_segment<const SUMS: usize>(
+    sums: [[f64; TILE_LANES]; SUMS],
+    factors: &[[f64; SUMS]; 3],
+    moments: &[[f64; TILE_LANES]; 3],
+) -> [[f64; TILE_LANES]; SUMS] {
+    let mut sums = plus_all(sums, &factors[0], moments[0]);
+    plus_four(&mut sums[1..5], &factors[1][1..5], moments[1]);
+    for k in 1..3 {
+        plus_three(&mut sums[5..8], &factors[k][5..8], moments[k]);
+        if SUMS > 8 {
+            plus_four(&mut sums[8..], &factors[k][8..], moments[k]);
+        }
+    }
+    sums
+}
+
+#[inline(always)]
+fn plus_three(sums: &mut [[f64; TILE_LANES]], factors: &[f64], lanes: [f64; TILE_LANES]) {
+    sums[0] = plus(sums[0], factors[0], lanes);
+    sums[1] = plus(sums[1], factors[1], lanes);
+    sums[2] = plus(sums[2], factors[2], lanes);
 }
 
 #[inline(always)]
