@@ -126,8 +126,19 @@ impl Request {
     /// little.
     pub(crate) fn send(&self, from: Ipv4Addr, to: SocketAddr) -> std::io::Result<TcpStream> {
         const RECEIVE_BUFFER: usize = 16 << 10;
+        self.send_by(from, to, |socket| {
+            socket.set_recv_buffer_size(RECEIVE_BUFFER)
+        })
+    }
+
+    fn send_by(
+        &self,
+        from: Ipv4Addr,
+        to: SocketAddr,
+        prepare: impl FnOnce(&Socket) -> std::io::Result<()>,
+    ) -> std::io::Result<TcpStream> {
         let socket = Socket::new(Domain::IPV4, Type::STREAM, None)?;
-        socket.set_recv_buffer_size(RECEIVE_BUFFER)?;
+        prepare(&socket)?;
         socket.bind(&SocketAddrV4::new(from, 0).into())?;
         socket.connect(&to.into())?;
         let mut stream = TcpStream::from(socket);
@@ -177,7 +188,10 @@ impl Request {
 
     /// Sends it and reads the whole response; of a socket, until there is a frame.
     pub(crate) fn exchange(&self, to: SocketAddr) -> (u16, Vec<u8>) {
-        let mut stream = self.send(Ipv4Addr::LOCALHOST, to).unwrap();
+        // With the system's buffer. The kernel passes what the loopback's client takes bit by bit to
+        // it within the calls of the sender, whose time it would be.
+        let sent = self.send_by(Ipv4Addr::LOCALHOST, to, |_| Ok(()));
+        let mut stream = sent.unwrap();
         let (status, mut read) = self.status(&mut stream).unwrap();
         if self.message.is_empty() {
             let _ = stream.read_to_end(&mut read);
