@@ -188,8 +188,8 @@ impl Request {
 
     /// Sends it and reads the whole response; of a socket, until there is a frame.
     pub(crate) fn exchange(&self, to: SocketAddr) -> (u16, Vec<u8>) {
-        // With the system's buffer. The kernel passes what the loopback's client takes bit by bit to
-        // it within the calls of the sender, whose time it would be.
+        // With the system's buffer: a client with a small one is passed packet after packet within
+        // the calls of the sender, and would be measured as its time.
         let sent = self.send_by(Ipv4Addr::LOCALHOST, to, |_| Ok(()));
         let mut stream = sent.unwrap();
         let (status, mut read) = self.status(&mut stream).unwrap();
