@@ -104,20 +104,13 @@ fn is_apart(one: [Point; 2], other: [Point; 2]) -> bool {
 mod tests {
     use super::*;
     use crate::geometry::Grid;
+    use crate::geometry::folding::tests::shaken;
 
     #[test]
     fn crossings_are_those_of_all_pairs_of_edges() {
-        let mut state = 3_u32;
         let mut with = 0;
         for (columns, rows, reach) in [(2, 2, 60.0), (9, 14, 4.0), (23, 12, 5.0), (23, 12, 9.0)] {
-            let grid = Grid::with_counts(100.0, 80.0, columns, rows);
-            let displacement = (0..grid.len()).map(|_| {
-                [(); 2].map(|()| {
-                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                    (f32::from((state >> 16) as u16) / 32_768.0 - 1.0) * reach
-                })
-            });
-            let mesh = Mesh::new(grid, displacement.collect());
+            let mesh = shaken(columns, rows, reach);
             let (c, r) = (columns - 1, rows - 1);
             let top = (0..c).map(|i| (i, 0)).chain((0..r).map(|j| (c, j)));
             let bottom = (0..c).map(|i| (c - i, r)).chain((0..r).map(|j| (0, r - j)));

@@ -191,7 +191,7 @@ impl Mesh {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::geometry::Grid;
 
@@ -203,7 +203,8 @@ mod tests {
         }
     }
 
-    fn shaken(columns: u32, rows: u32, reach: f32) -> Mesh {
+    /// A grid of 100 x 80 px whose vertices are moved at random.
+    pub(in crate::geometry) fn shaken(columns: u32, rows: u32, reach: f32) -> Mesh {
         let (grid, mut random) = (Grid::with_counts(100.0, 80.0, columns, rows), random(7));
         let displacement = (0..grid.len()).map(|_| [random() * reach, random() * reach]);
         Mesh::new(grid, displacement.collect())
