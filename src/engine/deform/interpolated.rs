@@ -6,14 +6,14 @@
 use crate::geometry::{Grid, Mesh};
 
 /// Vertices of a quintic.
-const QUINTIC_NODES: usize = 6;
+pub(super) const QUINTIC_NODES: usize = 6;
 /// Vertices used along each axis: two sixth differences.
-const STENCIL_VERTICES: usize = 8;
+pub(super) const STENCIL_VERTICES: usize = 8;
 /// Positions of a cell among the nodes of a quintic; the third is the middle.
 const CELL_POSITIONS: usize = QUINTIC_NODES - 1;
-const MIDDLE_POSITION: usize = 2;
+pub(super) const MIDDLE_POSITION: usize = 2;
 /// The weights of the nodes for the quarters of a cell.
-const NODE_WEIGHTS: [[[f32; QUINTIC_NODES]; 3]; CELL_POSITIONS] = weights();
+pub(super) const NODE_WEIGHTS: [[[f32; QUINTIC_NODES]; 3]; CELL_POSITIONS] = weights();
 /// The error of a quintic in a cell is at most about this share of the sixth differences, and that
 /// of a cubic of the fourth.
 const OF_SIXTH: [f32; CELL_POSITIONS] = shares();
@@ -86,13 +86,13 @@ const fn shares() -> [f32; CELL_POSITIONS] {
 
 /// The vertices along one axis of the grid that are used for a cell.
 #[derive(Clone, Copy, Debug)]
-struct AxisStencil {
+pub(super) struct AxisStencil {
     /// The first of the vertices.
-    first: usize,
+    pub(super) first: usize,
     /// The first node among them.
-    nodes: usize,
+    pub(super) nodes: usize,
     /// The position of the cell among the nodes.
-    position: usize,
+    pub(super) position: usize,
 }
 
 impl AxisStencil {
@@ -115,6 +115,11 @@ impl AxisStencil {
             nodes,
             position: cell - nodes,
         })
+    }
+
+    /// The position of the cell among the vertices.
+    pub(super) const fn cell(&self) -> usize {
+        self.nodes + self.position
     }
 }
 
@@ -141,6 +146,36 @@ impl EvenLines {
             columns: even(grid.columns(), &|i| grid.x(i), grid.cell().0),
             rows: even(grid.rows(), &|j| grid.y(j), grid.cell().1),
         }
+    }
+
+    /// The lines across at equal distances.
+    pub(super) const fn columns(self) -> usize {
+        self.columns
+    }
+
+    /// What a row of cells uses of the columns; `None` if too few lines are at equal distances.
+    pub(super) fn row(self, j: u32) -> Option<AxisStencil> {
+        AxisStencil::new(j as usize, self.rows)
+    }
+}
+
+/// How far interpolated vertices of a cell may be from f, px, from the largest fourth and sixth
+/// differences along each axis, and its positions; infinite where the grid does not resolve f.
+#[inline]
+pub(super) fn interpolation_error(fourth: [f32; 2], sixth: [f32; 2], positions: [usize; 2]) -> f32 {
+    // Sixth differences estimate the error of a quintic, fourth ones that of a cubic (mathematics
+    // section 12, step 2). If the former are not much smaller, the series does not converge here.
+    let (cubic, quintic) = (
+        OF_FOURTH * (fourth[0] + fourth[1]),
+        OF_SIXTH[MIDDLE_POSITION] * (sixth[0] + sixth[1]),
+    );
+    let off = OF_SIXTH[positions[0]] * sixth[0] + OF_SIXTH[positions[1]] * sixth[1];
+    let off = off * (1.0 + NEXT_ORDER * quintic / cubic.max(f32::MIN_POSITIVE));
+    // Without an early return, so that blocks of cells are vectorised.
+    if quintic > SLOWEST_DECAY * cubic {
+        f32::INFINITY
+    } else {
+        off
     }
 }
 
@@ -247,10 +282,7 @@ impl<'a> Interpolated<'a> {
     /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve
     /// it.
     pub(super) fn off(&self) -> f32 {
-        let (left, top) = (
-            self.x.nodes + self.x.position,
-            self.y.nodes + self.y.position,
-        );
+        let (left, top) = (self.x.cell(), self.y.cell());
         let rows = [top, top + 1].map(|b| differences::<2, 16>(self.lines[b].as_flattened()));
         let (fourth_x, sixth_x) = (
             largest(rows.iter().flat_map(|row| &row.0[2..6])),
@@ -264,18 +296,11 @@ impl<'a> Interpolated<'a> {
         }
         let columns = differences::<4, 32>(&columns);
         let (fourth_y, sixth_y) = (largest(&columns.0[4..12]), largest(&columns.1[..8]));
-        // Sixth differences estimate the error of a quintic, fourth ones that of a cubic
-        // (mathematics section 12, step 2). If the former are not much smaller, the series does not
-        // converge here.
-        let (cubic, quintic) = (
-            OF_FOURTH * (fourth_x + fourth_y),
-            OF_SIXTH[MIDDLE_POSITION] * (sixth_x + sixth_y),
-        );
-        if quintic > SLOWEST_DECAY * cubic {
-            return f32::INFINITY;
-        }
-        let off = OF_SIXTH[self.x.position] * sixth_x + OF_SIXTH[self.y.position] * sixth_y;
-        off * (1.0 + NEXT_ORDER * quintic / cubic.max(f32::MIN_POSITIVE))
+        interpolation_error(
+            [fourth_x, fourth_y],
+            [sixth_x, sixth_y],
+            [self.x.position, self.y.position],
+        )
     }
 
     /// The largest distance between vertices of the first halving and the patch of the cell, px.

@@ -122,6 +122,24 @@ impl Measured {
         }
     }
 
+    /// A cell that is halved once; `error`: that of its patch at the new vertices.
+    pub(super) fn halved(
+        [a, b, c, d]: [[f32; 2]; 4],
+        [above, left, centre, right, below]: [[f32; 2]; 5],
+        error: f32,
+    ) -> Self {
+        let mut errors = [0.0; MAX_SUBDIVISION_DEPTH];
+        errors[0] = error;
+        let vertices = [a, above, b, left, centre, right, c, below, d];
+        Self {
+            vertices: CellVertices::Small(vertices, HALVED_VERTICES),
+            depth: 1,
+            errors,
+            least: 0,
+            is_exact: false,
+        }
+    }
+
     /// Adds the vertices of one halving more, and the error of the present lattice at them.
     pub(super) fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
         let coarse = (1_usize << self.depth) + 1;
@@ -158,6 +176,23 @@ impl Measured {
     pub(super) fn at_level(&self, level: u8) -> Cow<'_, [[f32; 2]]> {
         at_level(&self.vertices, (1 << self.depth) + 1, level)
     }
+}
+
+/// Whether a cell is drawn as its patch: see [`split_error`].
+pub(super) fn is_convex([a, b, c, d]: &[[f32; 2]; 4], [width, height]: [f32; 2]) -> bool {
+    let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
+    let (top, bottom) = (
+        [width + (b[0] - a[0]), b[1] - a[1]],
+        [width + (d[0] - c[0]), d[1] - c[1]],
+    );
+    let (left, right) = (
+        [c[0] - a[0], height + (c[1] - a[1])],
+        [d[0] - b[0], height + (d[1] - b[1])],
+    );
+    (cross(top, left) > 0.0)
+        & (cross(top, right) > 0.0)
+        & (cross(bottom, left) > 0.0)
+        & (cross(bottom, right) > 0.0)
 }
 
 /// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells
@@ -221,13 +256,13 @@ pub(super) fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolera
     let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
     let is_within = |level: &u8| {
         let step = (side - 1) >> level;
-        (0..side).all(|k| {
-            let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
-            let (a, b, d) = (line(from), line((from + step).min(side - 1)), line(k));
-            distance(
-                d,
-                [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share],
-            ) <= tolerance
+        (0..side - 1).step_by(step).all(|from| {
+            let (a, b) = (line(from), line(from + step));
+            (1..step).all(|k| {
+                let share = k as f32 / step as f32;
+                let straight = [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share];
+                distance(line(from + k), straight) <= tolerance
+            })
         })
     };
     (0..last).find(is_within).unwrap_or(last)

@@ -30,6 +30,8 @@ mod handles;
 #[forbid(unsafe_code)]
 mod interpolated;
 #[forbid(unsafe_code)]
+mod interpolated_block;
+#[forbid(unsafe_code)]
 mod inverse;
 mod kernel;
 #[forbid(unsafe_code)]

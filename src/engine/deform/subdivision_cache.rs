@@ -112,19 +112,21 @@ impl SubdivisionCache {
                 .map(|&cell| kept.get(&(cell, level)).cloned())
                 .collect()
         };
-        let mut posed: (Option<CachedBlocks>, Vec<BlockDisplacements>) = (None, Vec::new());
-        for (unit, out) in found.iter().zip(out.chunks_exact_mut(len)) {
-            let Some((unit, group)) = unit else { continue };
-            // Cells are sorted, so groups that share a unit follow one another: it is posed once.
-            if posed.0.as_ref().is_none_or(|last| !Arc::ptr_eq(last, unit)) {
-                if cancelled() {
-                    return None;
-                }
-                posed.1.clear();
-                kernel::displace(posing.field.form(), unit, posing.d, &mut posed.1);
-                posed.0 = Some(Arc::clone(unit));
+        // Unit by unit, because the groups of one need not follow each other.
+        let mut known: Vec<(&CachedBlocks, usize, usize)> = (found.iter().enumerate())
+            .filter_map(|(k, found)| found.as_ref().map(|(unit, group)| (unit, *group, k)))
+            .collect();
+        known.sort_unstable_by_key(|(unit, ..)| unit.as_ptr());
+        let mut posed: Vec<BlockDisplacements> = Vec::new();
+        for groups in known.chunk_by(|(a, ..), (b, ..)| Arc::ptr_eq(a, b)) {
+            if cancelled() {
+                return None;
             }
-            out.copy_from_slice(&posed.1.as_flattened()[group * len..][..len]);
+            posed.clear();
+            kernel::displace(posing.field.form(), groups[0].0, posing.d, &mut posed);
+            for (_, group, k) in groups {
+                out[k * len..][..len].copy_from_slice(&posed.as_flattened()[group * len..][..len]);
+            }
         }
         let missing: Vec<usize> = (0..cells.len()).filter(|&k| found[k].is_none()).collect();
         if missing.is_empty() {

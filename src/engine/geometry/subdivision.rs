@@ -57,6 +57,18 @@ impl Subdivision {
         }
     }
 
+    /// Makes room for cells and their vertices.
+    pub fn reserve(&mut self, cells: usize, vertices: usize) {
+        self.cells.reserve_exact(cells);
+        self.displacement.reserve_exact(vertices);
+    }
+
+    /// The vertices of all cells.
+    #[must_use]
+    pub fn vertices(&self) -> usize {
+        self.displacement.len()
+    }
+
     /// The largest distance between what is drawn and the patch of a cell, px of the source.
     #[must_use]
     pub const fn drawn_within(&self) -> f32 {
@@ -65,11 +77,17 @@ impl Subdivision {
 
     /// Appends a cell, which must come after all others. Shapes:
     /// `vertices: [2^level + 1][2^level + 1]`. The edges are as fine as the cell until
-    /// [`Subdivision::join`].
+    /// [`Subdivision::join`]. Returns the cell's copy of its vertices.
     ///
     /// # Panics
     /// If `vertices` does not have the size of its shape.
-    pub fn push(&mut self, column: u32, row: u32, level: u8, vertices: &[[f32; 2]]) {
+    pub fn push(
+        &mut self,
+        column: u32,
+        row: u32,
+        level: u8,
+        vertices: &[[f32; 2]],
+    ) -> &mut [[f32; 2]] {
         let cell = SubdividedCell {
             column,
             row,
@@ -84,6 +102,7 @@ impl Subdivision {
         );
         self.cells.push(cell);
         self.displacement.extend_from_slice(vertices);
+        &mut self.displacement[cell.start..]
     }
 
     /// Makes neighbours agree on their common edges: each edge gets the lesser level of both cells.

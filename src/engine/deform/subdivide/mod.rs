@@ -7,15 +7,16 @@
 //! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept
 //! change it.
 
+mod interpolate;
+
 use std::borrow::Cow;
 use std::cmp::Ordering;
 
 use super::coefficient_table::{CoefficientTable, IsCancelled, to_f32};
 use super::curvature::bent_cells;
-use super::interpolated::{EvenLines, Interpolated};
-use super::measured::{
-    MAX_SUBDIVISION_DEPTH, Measured, MeasuredCells, edge_level, on_edge, split_error,
-};
+use super::interpolated::EvenLines;
+use super::interpolated_block::InterpolatedBlock;
+use super::measured::{MAX_SUBDIVISION_DEPTH, Measured, MeasuredCells, edge_level, split_error};
 use super::posed_cells::PosedCells;
 use super::posed_map::PosedMap;
 use super::samples::{CellSamples, sample_error};
@@ -35,8 +36,6 @@ const SUSPECT_TOLERANCE: f64 = 0.2;
 const HALVED_ERROR_SHARE: f32 = 0.5;
 /// The largest error of a cell in which f is resolved, as a share of its size.
 const RESOLVED_CELL_SHARE: f32 = 0.1;
-/// Vertices may be interpolated if they are off by at most this share of the tolerance.
-const INTERPOLATED_TOLERANCE_SHARE: f32 = 0.35;
 /// The largest difference of two targets at one position that counts as one, as a share of the
 /// tolerance.
 const TORN_TOLERANCE_SHARE: f64 = 0.5;
@@ -49,6 +48,9 @@ const NEIGHBOUR_HANDLE_CELLS: f64 = 0.5;
 /// resolves f, and elsewhere.
 const BETWEEN_SMOOTH: f32 = 1.1;
 const BETWEEN_VERTICES_FACTOR: f32 = 1.5;
+
+/// At least one suspect cell in this many is halved; room is made for them at once.
+const EXPECTED_PENDING: usize = 3;
 
 /// The tolerance of a posed grid, and what may be spent on it.
 #[derive(Clone, Copy, Debug)]
@@ -117,6 +119,7 @@ impl Subdivider<'_> {
             subdivider: self,
             mesh,
             even: EvenLines::of(grid),
+            block: None,
             samples,
             posed: PosedCells::of(mesh),
             cells: MeasuredCells::new(grid.len()),
@@ -150,6 +153,8 @@ struct PoseMeasurement<'a> {
     subdivider: &'a Subdivider<'a>,
     mesh: &'a Mesh,
     even: EvenLines,
+    /// The cells that were interpolated last; cells come row by row.
+    block: Option<InterpolatedBlock>,
     samples: CellSamples,
     posed: PosedCells<'a>,
     cells: MeasuredCells,
@@ -217,6 +222,7 @@ impl PoseMeasurement<'_> {
                 split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split
             }));
         }
+        self.cells.known.reserve(pending.len() / EXPECTED_PENDING);
         while !pending.is_empty() {
             // In the order of the grid, so that the result does not depend on which neighbour asked
             // first.
@@ -245,83 +251,6 @@ impl PoseMeasurement<'_> {
             pending = next;
         }
         Some(())
-    }
-
-    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than
-    /// twice. If not, its vertices will be exact.
-    fn interpolate(&mut self, cell: u32) -> bool {
-        let corners = self.posed.corners(cell);
-        if let Some(known) = self.cells.get_mut(cell) {
-            // Measured once by exact vertices: interpolation has failed here before.
-            if known.is_exact {
-                return false;
-            }
-            // Interpolated before, and now a neighbour or a handle wants more: the cell begins
-            // again with exact vertices, because two kinds in one cell would leave a step between
-            // them.
-            if known.depth > 0 {
-                *known = Measured {
-                    least: known.least,
-                    ..Measured::new(corners)
-                };
-                known.is_exact = true;
-                return false;
-            }
-        }
-        let (tolerance, size) = (self.tolerance(), self.posed.size(cell));
-        let columns = self.mesh.grid().columns() - 1;
-        // A handle or a fold in the cell is what a polynomial through the neighbours cannot see.
-        let is_open = self.is_smooth
-            && self.samples.of(cell).is_empty()
-            && split_error(&corners, 2, size) == 0.0;
-        let halved = if is_open {
-            Interpolated::new(self.mesh, self.even, cell % columns, cell / columns)
-        } else {
-            None
-        };
-        let halved = halved
-            .map(|halved| (halved, halved.off()))
-            .filter(|(_, off)| *off <= INTERPOLATED_TOLERANCE_SHARE * tolerance);
-        if let Some((halved, off)) = halved {
-            let halves = halved.halves();
-            // It needs no halving: neither its own error nor what the interpolation may be off
-            // exceeds the tolerance. Nothing is kept of it.
-            if self.cells.get(&cell).is_none()
-                && self.between(cell, Interpolated::error(corners, &halves) + off) <= tolerance
-            {
-                return true;
-            }
-            if self.deepen_by(cell, &halves, off) || self.deepen_by(cell, &halved.quarters(), off) {
-                return true;
-            }
-        }
-        let known = self.cells.get_or_insert(cell, corners);
-        *known = Measured {
-            least: known.least,
-            is_exact: true,
-            ..Measured::new(corners)
-        };
-        false
-    }
-
-    /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f.
-    /// Whether they suffice.
-    fn deepen_by(&mut self, cell: u32, vertices: &[[f32; 2]], off: f32) -> bool {
-        let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
-        let known = self.cells.get_or_insert(cell, corners);
-        if known.depth >= self.deepest || vertices.len() > self.left {
-            return false;
-        }
-        known.deepen(vertices, size);
-        // `decide` relies on a part of this error for the next level; divided by that part, `off`
-        // counts there in full.
-        known.errors[usize::from(known.depth) - 1] += off / HALVED_ERROR_SHARE;
-        let known = self.cells.get(&cell).expect("is there");
-        let suffices = matches!(self.decide(cell, known), Decision::Draw(_));
-        if suffices {
-            self.left -= known.vertices.len() - corners.len();
-        }
-        suffices
     }
 
     /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
@@ -529,16 +458,18 @@ impl PoseMeasurement<'_> {
     fn finish(mut self) -> SubdividedMesh {
         let grid = self.mesh.grid();
         let mut subdivision = Subdivision::new(self.subdivider.drawn_within);
+        let drawn = self.levels.iter().filter(|level| **level > 0);
+        let vertices = |level: &u8| ((1_usize << level) + 1).pow(2);
+        subdivision.reserve(drawn.clone().count(), drawn.map(vertices).sum());
         for at in self.cells.in_order() {
             let (cell, known) = &self.cells.known[at];
             let (cell, level) = (*cell, self.levels[at]);
             if level > 0 {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
-                let mut vertices = known.at_level(level);
+                let vertices = subdivision.push(i, j, level, &known.at_level(level));
                 if !known.is_exact {
-                    self.take_exact_edges(cell, level, vertices.to_mut());
+                    self.take_exact_edges(cell, level, vertices);
                 }
-                subdivision.push(i, j, level, &vertices);
             }
         }
         let outer = |cell: &SubdividedCell, edge: usize| {
@@ -564,25 +495,6 @@ impl PoseMeasurement<'_> {
         SubdividedMesh {
             subdivision,
             exceeded,
-        }
-    }
-
-    /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours
-    /// compute exactly.
-    fn take_exact_edges(&self, cell: u32, level: u8, vertices: &mut [[f32; 2]]) {
-        for (edge, other) in self.posed.beside(cell).into_iter().enumerate() {
-            let Some(known) = other
-                .and_then(|other| self.cells.get(&other))
-                .filter(|known| known.is_exact && known.depth > 0)
-            else {
-                continue;
-            };
-            let common = level.min(known.depth);
-            let (theirs, side) = (known.at_level(common), (1 << common) + 1);
-            for k in 1..side - 1 {
-                vertices[on_edge(k << (level - common), (1 << level) + 1, edge)] =
-                    theirs[on_edge(k, side, (edge + 2) % 4)];
-            }
         }
     }
 }
