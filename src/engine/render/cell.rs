@@ -30,7 +30,7 @@ pub(super) fn draw_row(
     rows: &Range<u32>,
     raster: &mut Raster<'_>,
 ) {
-    let mut seen = CellBlock::default();
+    let (mut seen, mut parts) = (CellBlock::default(), PartBlock::default());
     for (n, b) in (0..lattice.blocks()).rev().enumerate() {
         if n % BLOCKS_PER_LOOK == 0 {
             raster.shrink();
@@ -39,13 +39,26 @@ pub(super) fn draw_row(
         if cells == 0 || !lattice.block_touches(j, b, rows) {
             continue;
         }
-        kernel.classify(lattice, j, b, raster, &mut seen);
+        if cells & !lattice.fine.in_block(j, b) != 0 {
+            kernel.classify(lattice, j, b, raster, &mut seen);
+        }
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
             let i = b * BLOCK_COLUMNS + k;
             if let Some(cell) = lattice.fine.find(i, j) {
-                draw_fine(kernel, lattice, cell, column(i), raster);
+                let beside = cells
+                    .checked_ilog2()
+                    .map(|k| b * BLOCK_COLUMNS + k as usize);
+                let beside = beside.and_then(|i| lattice.fine.find(i, j));
+                draw_fine(
+                    kernel,
+                    lattice,
+                    (cell, beside),
+                    column(i),
+                    &mut parts,
+                    raster,
+                );
                 continue;
             }
             let rows = seen.rows[k] & raster.open & column(i);
@@ -70,25 +83,103 @@ pub(super) fn draw_cell(
     raster: &mut Raster<'_>,
 ) {
     match lattice.fine.find(i, j) {
-        Some(cell) => draw_fine(kernel, lattice, cell, rows, raster),
+        Some(cell) => {
+            let mut parts = PartBlock::default();
+            draw_fine(kernel, lattice, (cell, None), rows, &mut parts, raster);
+        }
         None => draw_part(kernel, &lattice.corners(i, j), lattice, rows, raster),
     }
 }
 
-/// Draws a subdivided cell as smaller ones, in the rows whose bits are set.
+/// Smaller cells of subdivided ones, classified together.
+struct PartBlock {
+    /// Where the corners of the subdivided cells in either half begin, if they are halved once.
+    starts: [Option<usize>; 2],
+    corners: [[Corner; 4]; BLOCK_COLUMNS],
+    seen: CellBlock,
+}
+
+/// The smaller cells of a cell that is halved once.
+const HALVED_PARTS: usize = 4;
+
+impl Default for PartBlock {
+    fn default() -> Self {
+        Self {
+            starts: [None; 2],
+            corners: [[Corner::default(); 4]; BLOCK_COLUMNS],
+            seen: CellBlock::default(),
+        }
+    }
+}
+
+impl PartBlock {
+    /// Classifies the parts of a cell from the first one on, as many as there is room for; behind
+    /// those of a cell that is halved once, the ones of another.
+    fn classify(
+        &mut self,
+        kernel: Kernel,
+        lattice: &SnappedGrid,
+        (cell, beside): (&SnappedSubdividedCell, Option<&SnappedSubdividedCell>),
+        first: usize,
+        raster: &Raster<'_>,
+    ) {
+        let beside = beside.filter(|beside| cell.level == 1 && beside.level == 1);
+        self.starts = [
+            (cell.level == 1).then_some(cell.start),
+            beside.map(|cell| cell.start),
+        ];
+        let parts = BLOCK_COLUMNS.min(1 << (2 * cell.level));
+        for (k, corners) in self.corners[..parts].iter_mut().enumerate() {
+            *corners = lattice.fine.part(cell, first + k);
+        }
+        if let Some(beside) = beside {
+            for (k, corners) in self.corners[HALVED_PARTS..].iter_mut().enumerate() {
+                *corners = lattice.fine.part(beside, k);
+            }
+        }
+        kernel.classify_parts(&self.corners, lattice, raster, &mut self.seen);
+    }
+
+    /// Draws some of the parts, in the rows whose bits are set.
+    fn draw(
+        &self,
+        kernel: Kernel,
+        lattice: &SnappedGrid,
+        parts: Range<usize>,
+        rows: u32,
+        raster: &mut Raster<'_>,
+    ) {
+        let (first, last) = (parts.start, parts.end - 1);
+        for k in parts {
+            let k = if raster.over { k } else { first + (last - k) };
+            let rows = self.seen.rows[k] & raster.open & rows;
+            if rows == 0 {
+                continue;
+            }
+            let corners @ [a, b, _, d] = &self.corners[k];
+            if self.seen.convex[k] == 0 {
+                draw(kernel, corners, lattice, rows, raster);
+            } else {
+                let piece = Piece::lane(&self.seen, k, *a, (b.u - a.u, d.v - a.v), || *corners);
+                kernel.fill(&piece, rows, raster);
+            }
+        }
+    }
+}
+
+/// Draws a subdivided cell as smaller ones, in the rows whose bits are set. `beside`: the one that
+/// may come next.
 fn draw_fine(
     kernel: Kernel,
     lattice: &SnappedGrid,
-    cell: &SnappedSubdividedCell,
+    (cell, beside): (&SnappedSubdividedCell, Option<&SnappedSubdividedCell>),
     rows: u32,
+    parts: &mut PartBlock,
     raster: &mut Raster<'_>,
 ) {
     if rows & raster.open & rows_between(cell.y.top, cell.y.bottom, raster) == 0 {
         return;
     }
-    let part = |corners: &[Corner; 4], raster: &mut Raster<'_>| {
-        draw_part(kernel, corners, lattice, rows, raster);
-    };
     let slivers = |raster: &mut Raster<'_>| {
         for [a, b, c] in lattice.fine.slivers(cell, raster.over) {
             draw_triangle(kernel, &[a, b, c, c], lattice, rows, raster);
@@ -96,16 +187,34 @@ fn draw_fine(
     };
     if raster.over {
         slivers(raster);
-        lattice
-            .fine
-            .parts(cell)
-            .for_each(|corners| part(&corners, raster));
+    }
+    if cell.level == 1 {
+        let half = match parts
+            .starts
+            .iter()
+            .position(|start| *start == Some(cell.start))
+        {
+            Some(half) => half,
+            None => {
+                parts.classify(kernel, lattice, (cell, beside), 0, raster);
+                0
+            }
+        };
+        let first = half * HALVED_PARTS;
+        parts.draw(kernel, lattice, first..first + HALVED_PARTS, rows, raster);
     } else {
-        lattice
-            .fine
-            .parts(cell)
-            .rev()
-            .for_each(|corners| part(&corners, raster));
+        let blocks = (1_usize << (2 * cell.level)) / BLOCK_COLUMNS;
+        for block in 0..blocks {
+            let block = if raster.over {
+                block
+            } else {
+                blocks - 1 - block
+            };
+            parts.classify(kernel, lattice, (cell, None), block * BLOCK_COLUMNS, raster);
+            parts.draw(kernel, lattice, 0..BLOCK_COLUMNS, rows, raster);
+        }
+    }
+    if !raster.over {
         slivers(raster);
     }
 }

@@ -72,7 +72,7 @@ pub(super) const fn first_row(y: i32) -> i64 {
 }
 
 /// A vertex: its lattice position and the sampler's coordinates there.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Corner {
     pub(super) x: i32,
     pub(super) y: i32,

@@ -30,15 +30,22 @@ impl SnappedSubdividedCells {
             (grid.columns() as usize).div_ceil(BLOCK_COLUMNS),
         );
         let mut fine = Self {
+            cells: Vec::with_capacity(subdivision.cells().len()),
+            corners: Vec::with_capacity(subdivision.vertices()),
             blocks,
             bits: vec![0; cell_rows * blocks],
+            firsts: vec![0; cell_rows * blocks],
             ..Self::default()
         };
         let (mut rest_x, mut u, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for cell in subdivision.cells() {
             let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
             fine.rows.resize(j + 1, fine.cells.len());
-            fine.bits[j * blocks + i / BLOCK_COLUMNS] |= 1 << (i % BLOCK_COLUMNS);
+            let block = j * blocks + i / BLOCK_COLUMNS;
+            if fine.bits[block] == 0 {
+                fine.firsts[block] = fine.cells.len();
+            }
+            fine.bits[block] |= 1 << (i % BLOCK_COLUMNS);
             let (start, mut range) = (fine.corners.len(), YRange::NOWHERE);
             let mut across = (i32::MAX, i32::MIN);
             let at_rest = |a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side);

@@ -30,6 +30,8 @@ pub(super) struct SnappedSubdividedCells {
     pub(super) rows: Vec<usize>,
     /// The subdivided cells, one bit each, `[rows][pitch / BLOCK_COLUMNS]`.
     pub(super) bits: Vec<u8>,
+    /// For each block with such cells the index of its first, in the same layout.
+    pub(super) firsts: Vec<usize>,
     pub(super) blocks: usize,
 }
 
@@ -47,36 +49,32 @@ impl SnappedSubdividedCells {
         }
     }
 
-    /// The subdivided cell at a column and row.
-    pub(super) fn find(&self, i: usize, j: usize) -> Option<&SnappedSubdividedCell> {
-        if self.cells.is_empty()
-            || self.bits[j * self.blocks + i / BLOCK_COLUMNS] >> (i % BLOCK_COLUMNS) & 1 == 0
-        {
-            return None;
-        }
-        let row = self.row(j);
-        row.binary_search_by_key(&i, |cell| cell.i)
-            .ok()
-            .map(|index| &row[index])
+    /// The subdivided cells of a block, one bit each.
+    pub(super) fn in_block(&self, j: usize, block: usize) -> u8 {
+        self.bits.get(j * self.blocks + block).copied().unwrap_or(0)
     }
 
-    /// The cells that a subdivided cell is drawn as, in drawing order, corners in the order 00, 10,
-    /// 11, 01.
-    pub(super) fn parts(
-        &self,
-        cell: &SnappedSubdividedCell,
-    ) -> impl DoubleEndedIterator<Item = [Corner; 4]> + '_ {
-        let cells = 1_usize << cell.level;
-        let corners = &self.corners[cell.start..][..(cells + 1) * (cells + 1)];
-        (0..cells * cells).map(move |k| {
-            let at = k / cells * (cells + 1) + k % cells;
-            [
-                corners[at],
-                corners[at + 1],
-                corners[at + cells + 2],
-                corners[at + cells + 1],
-            ]
-        })
+    /// The subdivided cell at a column and row.
+    pub(super) fn find(&self, i: usize, j: usize) -> Option<&SnappedSubdividedCell> {
+        if self.cells.is_empty() {
+            return None;
+        }
+        let (block, bit) = (
+            j * self.blocks + i / BLOCK_COLUMNS,
+            1 << (i % BLOCK_COLUMNS),
+        );
+        let bits = self.bits[block];
+        (bits & bit != 0)
+            .then(|| &self.cells[self.firsts[block] + (bits & (bit - 1)).count_ones() as usize])
+    }
+
+    /// The k-th of the cells that a subdivided cell is drawn as, in drawing order, corners in the
+    /// order 00, 10, 11, 01.
+    pub(super) fn part(&self, cell: &SnappedSubdividedCell, k: usize) -> [Corner; 4] {
+        let side = (1_usize << cell.level) + 1;
+        let at = cell.start + (k >> cell.level) * side + (k & (side - 2));
+        let corners = &self.corners[at..at + side + 2];
+        [corners[0], corners[1], corners[side + 1], corners[side]]
     }
 
     /// The slivers between a subdivided cell and the straight parts of its edges, as triangles of
@@ -90,8 +88,9 @@ impl SnappedSubdividedCells {
         let side = (1_usize << cell.level) + 1;
         let corners = &self.corners[cell.start..][..side * side];
         let (level, edges) = (cell.level, cell.edges);
-        let coarse =
-            (0..4).filter(move |&edge| edges[edge] < level && !(under && edges[edge] == 0));
+        // With the cell under it, one that is halved once has none.
+        let straight = u8::from(under);
+        let coarse = (0..4).filter(move |&edge| (straight..level).contains(&edges[edge]));
         coarse.flat_map(move |edge| {
             let step = 1_usize << (level - edges[edge]);
             let part = move |first: usize| {

@@ -142,7 +142,7 @@ fn many(report: &mut Report, title: &str) {
     report.goal(
         "100 handles, grid auto / 100 x 100",
         report.ratio(1, 0),
-        Goal::AtMost(2.0),
+        Goal::AtMost(1.8),
     );
 }
 

@@ -12,7 +12,7 @@ use super::footprints::{Alike, FootprintBatch, FootprintGrid};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::SimdLevel;
 use crate::pixmap::Channels;
-use crate::render::snapped_grid::{BLOCK_COLUMNS, PX_PER_STEP, SnappedGrid, YRange};
+use crate::render::snapped_grid::{BLOCK_COLUMNS, Corner, PX_PER_STEP, SnappedGrid, YRange};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -45,6 +45,8 @@ widened! {
     unmark(lines: (&[[f32; 4]], &[[f32; 4]]), limit: f32, marked: &mut [u8]);
     positions(alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]);
     classify(lattice: &SnappedGrid, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
+    classify_parts(parts: &[[Corner; 4]; BLOCK_COLUMNS], lattice: &SnappedGrid,
+        raster: &Raster<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.

@@ -12,8 +12,8 @@ use crate::render::snapped_grid::PX_PER_STEP;
 use crate::render::snapped_grid::STEPS_PER_PX;
 
 pub(super) use super::avx2::{
-    bends, classify, crossings, edges, footprints, positions, sample, shapes, shrinks, snap,
-    soundness, spans, steepness, unmark, y_ranges,
+    bends, classify, classify_parts, crossings, edges, footprints, positions, sample, shapes,
+    shrinks, snap, soundness, spans, steepness, unmark, y_ranges,
 };
 
 /// [`super::cells::fill`].

@@ -13,7 +13,9 @@
 )]
 
 use super::cells::{CellMap, Near, Piece, Raster, Root, edge_between, first_pixel, side};
-use crate::render::snapped_grid::{BLOCK_COLUMNS, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid};
+use crate::render::snapped_grid::{
+    BLOCK_COLUMNS, Corner, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid,
+};
 
 /// The classification of a block of cells.
 #[derive(Clone, Copy, Debug, Default)]
@@ -63,6 +65,53 @@ pub(super) fn classify(
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
+    let u = &lattice.u[b * BLOCK_COLUMNS..=(b + 1) * BLOCK_COLUMNS];
+    let mut du = [0.0; BLOCK_COLUMNS];
+    for k in 0..BLOCK_COLUMNS {
+        du[k] = u[k + 1] - u[k];
+    }
+    let lanes = Lanes {
+        x: [ax, bx, cx, dx],
+        y: [ay, by, cy, dy],
+        du,
+        dv: [lattice.v[j + 1] - lattice.v[j]; BLOCK_COLUMNS],
+    };
+    classify_lanes(&lanes, lattice, raster, seen);
+}
+
+/// Classifies single cells.
+#[inline(always)]
+pub(super) fn classify_parts(
+    parts: &[[Corner; 4]; BLOCK_COLUMNS],
+    lattice: &SnappedGrid,
+    raster: &Raster<'_>,
+    seen: &mut CellBlock,
+) {
+    let mut lanes = Lanes::default();
+    for (k, corners) in parts.iter().enumerate() {
+        for (n, corner) in corners.iter().enumerate() {
+            lanes.x[n][k] = corner.x;
+            lanes.y[n][k] = corner.y;
+        }
+        lanes.du[k] = corners[1].u - corners[0].u;
+        lanes.dv[k] = corners[3].v - corners[0].v;
+    }
+    classify_lanes(&lanes, lattice, raster, seen);
+}
+
+/// Cells side by side: the positions of their corners in the order 00, 10, 11, 01, and what they
+/// span of the sampler's coordinates.
+#[derive(Default)]
+struct Lanes {
+    x: [[i32; BLOCK_COLUMNS]; 4],
+    y: [[i32; BLOCK_COLUMNS]; 4],
+    du: [f32; BLOCK_COLUMNS],
+    dv: [f32; BLOCK_COLUMNS],
+}
+
+#[inline(always)]
+fn classify_lanes(lanes: &Lanes, lattice: &SnappedGrid, raster: &Raster<'_>, seen: &mut CellBlock) {
+    let ([ax, bx, cx, dx], [ay, by, cy, dy]) = (&lanes.x, &lanes.y);
     // y of the centres of the raster's first row, and x of its right edge, in steps.
     let (first, right_end) = (
         raster.first as i32 * STEPS_PER_PX + HALF_PX,
@@ -109,10 +158,6 @@ pub(super) fn classify(
     if seen.rows.iter().all(|&rows| rows == 0) {
         return;
     }
-    let (u, dv) = (
-        &lattice.u[b * BLOCK_COLUMNS..=(b + 1) * BLOCK_COLUMNS],
-        (lattice.v[j + 1] - lattice.v[j]).abs(),
-    );
     for k in 0..BLOCK_COLUMNS {
         let (a, b, c, d) = (
             [ax[k], ay[k]],
@@ -128,7 +173,7 @@ pub(super) fn classify(
         };
         let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
         let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
-        seen.is_near[k] = near.is_accurate(u[k + 1] - u[k], dv, lattice.unit);
+        seen.is_near[k] = near.is_accurate(lanes.du[k], lanes.dv[k], lattice.unit);
         let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
         for (lanes, value) in seen
             .near
@@ -160,7 +205,20 @@ impl Piece {
         // Not all corners: an array of them would be written to memory in small parts and read in
         // larger ones, which waits.
         let a = lattice.corner(i, j);
-        let (du, dv) = (lattice.u[i + 1] - a.u, lattice.v[j + 1] - a.v);
+        let spans = (lattice.u[i + 1] - a.u, lattice.v[j + 1] - a.v);
+        Self::lane(seen, k, a, spans, || lattice.corners(i, j))
+    }
+
+    /// Cell `k` of a classified block, which begins at a corner and spans that much of the
+    /// sampler's coordinates; it must be convex there.
+    #[inline(always)]
+    pub(in crate::render) fn lane(
+        seen: &CellBlock,
+        k: usize,
+        a: Corner,
+        (du, dv): (f32, f32),
+        corners: impl FnOnce() -> [Corner; 4],
+    ) -> Self {
         // Two maps from the position to s and t: a patch that is nearly a parallelogram needs no
         // root. Which one was chosen must not depend on lanes, so `classify` decides for both
         // kernels.
@@ -177,7 +235,7 @@ impl Piece {
                 a.v + 0.5 * dv,
             )
         } else {
-            let [a, b, c, d] = &lattice.corners(i, j);
+            let [a, b, c, d] = &corners();
             let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
             (
                 CellMap::Root(Root::new(

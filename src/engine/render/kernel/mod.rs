@@ -35,7 +35,7 @@ mod simd128;
 
 use std::ops::Range;
 
-use super::snapped_grid::{SnappedGrid, YRange};
+use super::snapped_grid::{BLOCK_COLUMNS, Corner, SnappedGrid, YRange};
 use super::source::Packed;
 use crate::level::SimdLevel;
 use crate::pixmap::Channels;
@@ -218,6 +218,18 @@ impl Kernel {
         seen: &mut CellBlock,
     ) {
         dispatch!(self, classify(lattice, j, block, raster, seen));
+    }
+
+    /// The same for single cells.
+    #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
+    pub(super) fn classify_parts(
+        self,
+        parts: &[[Corner; 4]; BLOCK_COLUMNS],
+        lattice: &SnappedGrid,
+        raster: &Raster<'_>,
+        seen: &mut CellBlock,
+    ) {
+        dispatch!(self, classify_parts(parts, lattice, raster, seen));
     }
 
     /// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest

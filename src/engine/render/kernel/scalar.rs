@@ -18,7 +18,7 @@ pub(super) use super::bilinear::blend;
 #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
 pub(super) use super::bilinear::sample;
 pub(in crate::render) use super::bilinear::{ROUND_SAMPLE, fixed};
-pub(super) use super::cell_block::classify;
+pub(super) use super::cell_block::{classify, classify_parts};
 pub(super) use super::cells::fill;
 pub(super) use super::footprints::{footprints, positions, shapes, unmark};
 pub(super) use super::rounding::ROUND_F32;
