@@ -10,6 +10,7 @@ pub(in crate::deform) mod metric;
 pub(in crate::deform) mod moments;
 mod posed_sums;
 mod quadrature;
+mod quick_moments;
 pub(in crate::deform) mod row;
 pub(in crate::deform) mod segment_moments;
 mod segments;

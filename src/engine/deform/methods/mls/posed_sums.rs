@@ -5,7 +5,8 @@
 use super::falloff::{Falloff, Power};
 use super::fitted_moments::{FittedLanes, FittedSums};
 use super::incomplete_beta::IncompleteBeta;
-use super::segments::{Moments, View, quick_moments};
+use super::quick_moments::{SeenSegment, factor};
+use super::segments::{Moments, View};
 use crate::deform::columns::{HandleElements, RestSegment};
 use crate::deform::form::{CoefficientForm, MotionLanes};
 use crate::deform::kernel::{LaneWork, run_at};
@@ -19,6 +20,24 @@ use crate::level::SimdLevel;
 const QUICK_AT_ONCE: usize = 8;
 /// Within this distance of a handle a position moves with it, px.
 const ON_HANDLE_PX: f64 = 1e-9;
+
+/// Moments of segments at some positions.
+struct MomentScratch {
+    seen: [SeenSegment<TILE_LANES>; QUICK_AT_ONCE],
+    quick: [[[f64; TILE_LANES]; 3]; QUICK_AT_ONCE],
+    /// If they are not quick, of all segments and lanes.
+    beyond: Vec<[[f64; LANES]; 3]>,
+}
+
+impl MomentScratch {
+    const fn new() -> Self {
+        Self {
+            seen: [SeenSegment::ZERO; QUICK_AT_ONCE],
+            quick: [[[0.0; TILE_LANES]; 3]; QUICK_AT_ONCE],
+            beyond: Vec::new(),
+        }
+    }
+}
 
 /// What does not depend on the positions.
 #[derive(Debug)]
@@ -59,8 +78,12 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
         let segments = elements.segments.iter().map(|s| {
             // The factors at a share t of the way from a to b are c0 + c1 t + c2 t^2.
             let (da, db) = (d[s.column], d[s.column + 1]);
-            let [at_a, middle, at_b] = [0.0, 0.5, 1.0]
-                .map(|t| factors(s.a.lerp(s.b, t) - origin, da * (1.0 - t) + db * t));
+            let is_quick = falloff.power() == Power::Two;
+            let scale = if is_quick { factor(s) } else { 1.0 };
+            let [at_a, middle, at_b] = [0.0, 0.5, 1.0].map(|t| {
+                let factors = factors(s.a.lerp(s.b, t) - origin, da * (1.0 - t) + db * t);
+                factors.map(|factor| scale * factor)
+            });
             let mut c = [at_a; 3];
             for k in 0..SUMS {
                 let (half, whole) = (middle[k] - at_a[k], at_b[k] - at_a[k]);
@@ -79,14 +102,15 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
         }
     }
 
-    /// How half of the positions move; `beyond`: the moments of segments, if they are not quick.
+    /// How half of the positions move.
     #[cfg_attr(not(optimized_for_size), inline(always))]
     #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
     fn fitted(
         &self,
         x: &[f64; TILE_LANES],
         y: &[f64; TILE_LANES],
-        (half, beyond): (usize, &[[[f64; LANES]; 3]]),
+        half: usize,
+        scratch: &mut MomentScratch,
     ) -> FittedLanes<TILE_LANES>
     where
         [[f64; TILE_LANES]; SUMS]: FittedSums<TILE_LANES>,
@@ -104,17 +128,20 @@ impl<'a, const SUMS: usize> PosedSums<'a, SUMS> {
             }
         }
         if self.falloff.power() == Power::Two {
-            let mut moments = [[[0.0; TILE_LANES]; 3]; QUICK_AT_ONCE];
             for segments in self.segments.chunks(QUICK_AT_ONCE) {
-                for ((s, _), moments) in segments.iter().zip(&mut moments) {
-                    *moments = quick_moments(s, x, y);
+                let MomentScratch { seen, quick, .. } = &mut *scratch;
+                for ((s, _), seen) in segments.iter().zip(&mut *seen) {
+                    seen.see(s, x, y);
                 }
-                for ((_, factors), moments) in segments.iter().zip(&moments) {
+                for (seen, moments) in seen[..segments.len()].iter().zip(&mut *quick) {
+                    seen.put(moments);
+                }
+                for ((_, factors), moments) in segments.iter().zip(&*quick) {
                     sums = plus_segment(sums, factors, moments);
                 }
             }
         } else {
-            for ((_, factors), moments) in self.segments.iter().zip(beyond) {
+            for ((_, factors), moments) in self.segments.iter().zip(&scratch.beyond) {
                 for (factors, moment) in factors.iter().zip(moments) {
                     sums = plus_all(sums, factors, half_of(moment, half));
                 }
@@ -262,14 +289,14 @@ where
 
     #[inline(always)]
     fn run(self) -> Vec<usize> {
-        let (mut imprecise, mut moments) = (Vec::new(), Vec::new());
+        let (mut imprecise, mut scratch) = (Vec::new(), MomentScratch::new());
         let blocks = self.places.chunks(LANES).zip(self.out.chunks_mut(2));
         for (start, (places, out)) in (0..).step_by(LANES).zip(blocks) {
             let (v, end) = (lanes_of(places), start + places.len());
-            self.sums.put_moments(&v, &mut moments);
+            self.sums.put_moments(&v, &mut scratch.beyond);
             for (half, out) in out.iter_mut().enumerate() {
                 let (x, y) = (half_of(&v.x, half), half_of(&v.y, half));
-                let fitted = self.sums.fitted(&x, &y, (half, &moments));
+                let fitted = self.sums.fitted(&x, &y, half, &mut scratch);
                 *out = fitted.motion;
                 note(
                     fitted.is_precise,
@@ -299,14 +326,14 @@ where
 
     #[inline(always)]
     fn run(self) -> Vec<usize> {
-        let (mut imprecise, mut moments) = (Vec::new(), Vec::new());
+        let (mut imprecise, mut scratch) = (Vec::new(), MomentScratch::new());
         let blocks = self.places.chunks(LANES).zip(self.out.chunks_mut(LANES));
         for (start, (places, out)) in (0..).step_by(LANES).zip(blocks) {
             let (v, end) = (lanes_of(places), start + places.len());
-            self.sums.put_moments(&v, &mut moments);
+            self.sums.put_moments(&v, &mut scratch.beyond);
             for (half, out) in out.chunks_mut(TILE_LANES).enumerate() {
                 let (x, y) = (half_of(&v.x, half), half_of(&v.y, half));
-                let fitted = self.sums.fitted(&x, &y, (half, &moments));
+                let fitted = self.sums.fitted(&x, &y, half, &mut scratch);
                 let ([dx, dy], _) = fitted.motion.at(self.form, 1.0);
                 let mut mapped = [Point::default(); TILE_LANES];
                 for k in 0..TILE_LANES {

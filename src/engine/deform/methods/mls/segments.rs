@@ -13,7 +13,6 @@ use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
 use super::quadrature::Sight;
 use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
-use crate::geometry::lane_math::Arc;
 use crate::geometry::lane_math::angle;
 
 /// The closed form of alpha 2 replaces the nodes for a segment farther away than this share of its
@@ -22,11 +21,6 @@ const CLOSED_FROM: f64 = 1e-3;
 /// The closed form of other alphas replaces the nodes for a segment nearer than this number of its
 /// lengths: farther away, its second moment cancels by (r/L)^3.
 const CLOSED_TO: f64 = 32.0;
-
-/// Angles below which quick moments are those of the series: 5 terms reach 1e-15 here.
-const QUICK_NEAR: f64 = 0.05;
-/// The least cross product that quick moments divide by, px^2.
-const LEAST_CROSS: f64 = 1e-100;
 
 /// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
@@ -273,68 +267,6 @@ impl<const N: usize> View<N> {
     }
 }
 
-/// `sum w t^m` of alpha 2, t from a in lengths of the segment: about 1e-13 of the largest of them,
-/// for sums that cancel beside the segment in any case. A quarter of the time of
-/// [`View::moments`].
-#[inline(always)]
-pub(in crate::deform) fn quick_moments<const N: usize>(
-    s: &RestSegment,
-    x: &[f64; N],
-    y: &[f64; N],
-) -> [[f64; N]; 3] {
-    // `G1 / cos phi`: near, 1 / (|a| |b|) is cos phi / (a b), so that no root is needed.
-    const NEAR_1: [f64; 5] = [
-        0.666_666_666_666_666_6,
-        0.533_333_333_333_333_3,
-        0.279_365_079_365_079_37,
-        0.125_291_005_291_005_3,
-        0.052_794_612_794_612_8,
-    ];
-    let half = 0.5 * s.weight * s.length;
-    let mut m = [[0.0; N]; 3];
-    for k in 0..N {
-        let (ax, ay) = (s.a.x - x[k], s.a.y - y[k]);
-        let (bx, by) = (s.b.x - x[k], s.b.y - y[k]);
-        let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
-        let (cross, dot) = ((ax * by - ay * bx).abs(), ax * bx + ay * by);
-        // On the line beyond an end, where it is divided by as well.
-        let cross = if cross > LEAST_CROSS {
-            cross
-        } else {
-            LEAST_CROSS
-        };
-        // One division for all three.
-        let (square, arc) = (a2 * b2, Arc::new(cross, dot));
-        let product = square * cross;
-        let per_all = 1.0 / (product * arc.under);
-        let phi = arc.angle(arc.over * (per_all * product));
-        let per_product = per_all * arc.under;
-        let (per_square, per_cross) = (per_product * cross, per_product * square);
-        let (of_angle, of_dot) = (phi * per_cross, dot * per_square);
-        let per_cross2 = per_cross * per_cross;
-        let far = (
-            (of_angle - of_dot) * per_cross2,
-            (1.0 - of_angle * dot) * per_cross2,
-        );
-        let z = phi * phi;
-        let near = (
-            series(&NEAR_1, z) * (of_dot * per_square),
-            series(&G2, z) * per_square,
-        );
-        let (of_ends, of_both) = if phi < QUICK_NEAR { near } else { far };
-        let (d00, d01, d11) = (half * of_ends * b2, half * of_both, half * of_ends * a2);
-        let of_b = d01 + d11;
-        (m[0][k], m[1][k], m[2][k]) = (d00 + d01 + of_b, of_b, d11);
-    }
-    m
-}
-
-#[inline(always)]
-fn series(terms: &[f64], x: f64) -> f64 {
-    let near = &terms[..5];
-    (((near[4] * x + near[3]) * x + near[2]) * x + near[1]) * x + near[0]
-}
-
 #[inline(always)]
 fn g_closed(phi: f64, sin: f64, cos: f64) -> (f64, f64) {
     // phi / sin is near 1 and cos as well: for small angles the digits cancel, and at 0 nothing is
@@ -384,6 +316,7 @@ const G2: [f64; 12] = [
 
 #[cfg(test)]
 mod tests {
+    use super::super::quick_moments::{SeenSegment, factor};
     use super::*;
     use crate::geometry::{Point, Vec2};
 
@@ -454,6 +387,35 @@ mod tests {
                         (c - n).abs() <= 1e-9 * size,
                         "v = {v:?}: closed {closed:?}, quadrature {nodes:?}"
                     );
+                }
+            }
+        }
+    }
+
+    /// From an end, to the digits that are left of the sums of a pose.
+    #[test]
+    fn quick_moments_equal_quadrature() {
+        for s in [
+            segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0)),
+            segment(Point::new(7.0, 3.0), Point::new(7.5, -2.0)),
+        ] {
+            let turned = |angle: f64| {
+                let distance = 0.5 * s.length / (0.5 * angle).tan();
+                s.a.lerp(s.b, 0.5) + Vec2::new(-s.tau.y, s.tau.x) * distance
+            };
+            let turned = (1..630).map(|k| turned(0.005 * f64::from(k)));
+            for v in views(&s).into_iter().chain(turned) {
+                let (view, [m0, m1, m2]) = moments(&s, v, 2.0, true);
+                let (b, scale) = (view.share_b[0], view.r2[0] * view.r2[0]);
+                let nodes = [m0, m1 + b * m0, m2 + b * (2.0 * m1 + b * m0)];
+                let (mut seen, mut quick) = (SeenSegment::<1>::ZERO, [[0.0]; 3]);
+                seen.see(&s, &[v.x], &[v.y]);
+                seen.put(&mut quick);
+                let quick = quick.map(|[m]| m * factor(&s) * scale);
+                for (m, (quick, nodes)) in quick.iter().zip(nodes).enumerate() {
+                    // Beside the line and far away, positions have fewer digits themselves.
+                    let off = (quick - nodes).abs() / nodes;
+                    assert!(off <= 1e-9, "{m} at {v:?}: {quick:e}, {nodes:e}: {off:e}");
                 }
             }
         }
