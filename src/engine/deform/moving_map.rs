@@ -53,42 +53,63 @@ impl<'a> MovingMap<'a> {
 
     /// Replaces positions by f of them. In parallel on the current pool; `None` when cancelled.
     pub(super) fn map_all(&self, places: &mut [Point], cancelled: IsCancelled<'_>) -> Option<()> {
-        let tasks = places.par_chunks_mut(TASK);
-        let mapped = || (vec![Point::default(); TASK], Vec::new());
-        tasks.try_for_each_init(mapped, |(mapped, motions), places| {
-            for places in places.chunks_mut(self.between_checks()) {
+        let mut left = vec![Vec::new(); places.len().div_ceil(TASK)];
+        let tasks = places.par_chunks_mut(TASK).zip(left.par_chunks_mut(1));
+        tasks.enumerate().try_for_each_init(
+            || vec![Point::default(); TASK],
+            |mapped, (task, (places, left))| {
+                let between = self.between_checks();
+                for (k, places) in places.chunks_mut(between).enumerate() {
+                    if cancelled() {
+                        return None;
+                    }
+                    let first = task * TASK + k * between;
+                    let mapped = &mut mapped[..places.len()];
+                    let at = self.map_some(places, mapped);
+                    left[0].extend(at.into_iter().map(|index| (first + index, places[index])));
+                    places.copy_from_slice(mapped);
+                }
+                Some(())
+            },
+        )?;
+        // Those of all tasks together, so that they fill lanes.
+        let mut left = left.concat();
+        let tasks = left.par_chunks_mut(self.between_checks());
+        tasks.try_for_each_init(
+            || (),
+            |(), left| {
                 if cancelled() {
                     return None;
                 }
-                let mapped = &mut mapped[..places.len()];
-                self.map_some(places, mapped, motions);
-                places.copy_from_slice(mapped);
-            }
-            Some(())
-        })
+                self.map_by_rows(left);
+                Some(())
+            },
+        )?;
+        for (index, place) in left {
+            places[index] = place;
+        }
+        Some(())
     }
 
-    fn map_some(
-        &self,
-        places: &[Point],
-        mapped: &mut [Point],
-        motions: &mut Vec<MotionLanes<TILE_LANES>>,
-    ) {
+    /// Replaces positions, which have some index, by f of them.
+    fn map_by_rows(&self, at: &mut [(usize, Point)]) {
         let form = self.field.form();
-        let left = match &self.sums {
-            Some(sums) => sums.map(form, places, mapped),
-            None => (0..places.len()).collect(),
-        };
-        if left.is_empty() {
-            return;
+        let places: Vec<Point> = at.iter().map(|(_, place)| *place).collect();
+        let all: Vec<usize> = (0..places.len()).collect();
+        let mut motions = vec![MotionLanes::ZERO; places.len().div_ceil(TILE_LANES)];
+        self.put_rows(&all, &places, &mut motions);
+        for (k, (_, place)) in at.iter_mut().enumerate() {
+            let ([x, y], _) = motions[k / TILE_LANES].at(form, 1.0);
+            let lane = k % TILE_LANES;
+            *place = *place + Vec2::new(x[lane], y[lane]);
         }
-        motions.clear();
-        motions.resize(places.len().div_ceil(TILE_LANES), MotionLanes::ZERO);
-        self.put_rows(&left, places, motions);
-        for index in left {
-            let ([x, y], _) = motions[index / TILE_LANES].at(form, 1.0);
-            let lane = index % TILE_LANES;
-            mapped[index] = places[index] + Vec2::new(x[lane], y[lane]);
+    }
+
+    /// Maps positions by sums; the indices of those that need their rows.
+    fn map_some(&self, places: &[Point], mapped: &mut [Point]) -> Vec<usize> {
+        match &self.sums {
+            Some(sums) => sums.map(self.field.form(), places, mapped),
+            None => (0..places.len()).collect(),
         }
     }
 

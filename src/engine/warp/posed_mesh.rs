@@ -127,7 +127,7 @@ impl PosedMesh {
         setup.check_folds(folds)?;
         let (mesh, quality) = setup.mesh(plan, f, pose, cancelled)?;
         let (mesh, unfolded) = match folds {
-            Folds::Remove => match setup.unfold(pose, &mesh, cancelled)? {
+            Folds::Remove => match setup.unfold(plan, pose, &mesh, cancelled)? {
                 Some((mesh, unfolded)) => (mesh, Some(Arc::new(unfolded))),
                 None => (mesh, None),
             },

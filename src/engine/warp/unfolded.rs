@@ -3,7 +3,7 @@
 
 use std::sync::OnceLock;
 
-use super::{RemovedFolds, ResolvedRest, Task, WarpError, system_bytes, work};
+use super::{CompiledRest, RemovedFolds, ResolvedRest, Task, WarpError, system_bytes, work};
 use crate::deform::{
     DeformError, FoldFree, FoldFreeError, Handle, IsCancelled, Pose, ProductFactor, ProductWork,
 };
@@ -119,6 +119,7 @@ impl ResolvedRest {
     /// The mesh of a pose without folds; `None` if `plain`, the mesh of the plain f, has none.
     pub(super) fn unfold(
         &self,
+        plan: &CompiledRest,
         pose: &Pose,
         plain: &Mesh,
         cancelled: IsCancelled<'_>,
@@ -128,7 +129,7 @@ impl ResolvedRest {
         let Some(product) = product.map_err(|error| self.unfold_error(error))? else {
             return Ok(None);
         };
-        let mesh = product.mesh(self.grid(), cancelled);
+        let mesh = product.mesh(self.grid(), plan.table.as_ref(), cancelled);
         let mesh = mesh.ok_or(WarpError::Cancelled)?;
         let left = work.most.saturating_sub(work.taken);
         let of_evaluation = (self.grid().len() as u64).saturating_mul(work::CELL_OPERATIONS);

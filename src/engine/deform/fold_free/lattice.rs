@@ -18,7 +18,7 @@ const CELL_SIDES: [f64; 2] = [4.0, 10.0];
 /// Cells along a side at most: those of an image of 16,384 px are larger.
 const MOST_CELLS: f64 = 400.0;
 /// The side of a cell outside of the image, in those within it.
-const OUTSIDE: usize = 2;
+const OUTSIDE: usize = 4;
 /// Cells whose corners are looked at together.
 const CELL_LANES: usize = 8;
 

@@ -17,9 +17,10 @@ use self::path::{HandlePlaces, Path, between, handles_like, places_of};
 use self::way::Way;
 use super::moving_map::MovingMap;
 use super::{
-    Class, CoefficientForm, DeformError, Handle, IsCancelled, Pose, RestDeformation, fitted,
+    Class, CoefficientForm, CoefficientTable, DeformError, Handle, IsCancelled, Pose,
+    RestDeformation, fitted,
 };
-use crate::geometry::{Folding, Grid, Mesh, Orientation, Point};
+use crate::geometry::{Folding, Grid, Mesh, Orientation, Point, Vec2};
 use crate::parallel::prelude::*;
 
 /// Factors of a product: ordinary poses need 3 to 7.
@@ -359,9 +360,15 @@ impl FoldFree {
     }
 
     /// f at the vertices of a grid. Cells may fold although f does not, where f bends within them;
-    /// [`untangle`](crate::geometry::untangle) mends that. `None` when cancelled.
+    /// [`untangle`](crate::geometry::untangle) mends that. `table`: of these vertices and the
+    /// handles at rest, for the first factor. `None` when cancelled.
     #[must_use]
-    pub fn mesh(&self, grid: &Grid, cancelled: IsCancelled<'_>) -> Option<Mesh> {
+    pub fn mesh(
+        &self,
+        grid: &Grid,
+        table: Option<&CoefficientTable>,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Mesh> {
         let rows = 0..grid.rows();
         let places: Vec<Point> = rows
             .flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)))
@@ -369,7 +376,14 @@ impl FoldFree {
         let mut mapped = places.clone();
         for step in 0..self.count() {
             let (field, pose) = self.factor(step, cancelled)?;
-            MovingMap::new(&field, &pose).map_all(&mut mapped, cancelled)?;
+            let Some(table) = table.filter(|_| step == 0) else {
+                MovingMap::new(&field, &pose).map_all(&mut mapped, cancelled)?;
+                continue;
+            };
+            let (displacements, _) = table.displace(&pose, cancelled)?;
+            for (v, [x, y]) in mapped.iter_mut().zip(displacements) {
+                *v = *v + Vec2::new(x.into(), y.into());
+            }
         }
         let mapped = self.moved(mapped);
         #[expect(

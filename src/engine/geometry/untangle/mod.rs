@@ -112,9 +112,8 @@ fn meet(places: &mut [Point], targets: &[Aim], cancelled: &dyn Fn() -> bool) -> 
             }
             let off = target.off(places);
             farthest = farthest.max(off.norm());
-            let sum: f64 = target.shares.iter().map(|share| share * share).sum();
-            for (vertex, share) in target.corners.iter().zip(target.shares) {
-                places[*vertex] = places[*vertex] + off * (-share / sum);
+            for (vertex, pull) in target.corners.iter().zip(target.pulls) {
+                places[*vertex] = places[*vertex] + off * pull;
             }
         }
         if farthest <= MET {
@@ -200,6 +199,8 @@ fn least_corner(grid: &Grid, places: &[Point], cell: [u32; 2]) -> f64 {
 struct Aim {
     corners: [usize; 4],
     shares: [f64; 4],
+    /// How far corners move to meet it, as shares of how far it is off.
+    pulls: [f64; 4],
     place: Point,
 }
 
@@ -222,9 +223,12 @@ impl Aim {
         let s = (rest.x - grid.x(cell[0])) / own[0];
         let t = (rest.y - grid.y(cell[1])) / own[1];
         let is_inside = [s, t].iter().all(|share| (0.0..=1.0).contains(share));
+        let shares = [(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t];
+        let sum: f64 = shares.iter().map(|share| share * share).sum();
         is_inside.then(|| Self {
             corners: corners(grid, cell),
-            shares: [(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t],
+            shares,
+            pulls: shares.map(|share| -share / sum),
             place,
         })
     }

@@ -18,8 +18,9 @@ use crate::level::SimdLevel;
 
 /// Segments whose quick moments are computed before they are summed.
 const QUICK_AT_ONCE: usize = 8;
-/// Within this distance of a handle a position moves with it, px.
-const ON_HANDLE_PX: f64 = 1e-9;
+/// Within this distance of a handle a position moves with it, px: that of displacements in single
+/// precision.
+const ON_HANDLE_PX: f64 = 1e-4;
 
 /// Moments of segments at some positions.
 struct MomentScratch {
