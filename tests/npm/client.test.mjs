@@ -130,6 +130,15 @@ describe("against the program", () => {
     assert.ok(error.message.length > 10 && error.requestId);
     const wrong = await client.warp(CAT, { p: P, q: [...Q.slice(1), [1, 2, 3]] }).catch((e) => e);
     assert.match(wrong.pointer, /^\/q/);
+    for (const [given, pointer] of [
+      [{ q: Q, strength: Number.NaN }, "/strength"],
+      [{ q: [...Q.slice(1), [1, -Infinity]] }, `/q/${Q.length - 1}/1`],
+    ]) {
+      const no = await client.warp(CAT, { p: P, ...given }).catch((error) => error);
+      assert.deepEqual([no.code, no.pointer], ["not_finite", pointer]);
+      const asked = await client.report({ p: P, ...given }).catch((error) => error);
+      assert.deepEqual([asked.code, asked.pointer], ["not_finite", pointer]);
+    }
   });
 
   test("a batch is a stream, and can be left", async (t) => {
@@ -223,7 +232,9 @@ describe("against the program", () => {
       drag.addEventListener("frame", ({ frame }) => frames.push(frame));
       drag.pose(Q.slice(1));
       await until(() => problems.length, "a problem");
-      assert.deepEqual(problems, ["shape_mismatch"]);
+      drag.pose(Q, { strength: Number.NaN });
+      await until(() => problems.length > 1, "another problem");
+      assert.deepEqual(problems, ["shape_mismatch", "not_finite"]);
       for (let k = 1; k <= 5; k++) {
         const pose = drag.pose(Q, { strength: k / 5 });
         await until(() => frames.some((frame) => frame.pose === pose), "a frame");

@@ -127,6 +127,12 @@ def test_what_does_not_fit_is_refused_by_name():
     with pytest.raises(ValueError) as caught:
         PLAN.pose([[1, 2], [3, np.inf], [5, 6]])
     assert (caught.value.code, caught.value.handle) == ("not_finite", 1)
+    with pytest.raises(ValueError) as caught:
+        PLAN.pose(P, strength=float("nan"))
+    assert (caught.value.code, caught.value.pointer) == ("not_finite", "/strength")
+    with pytest.raises(ValueError) as caught:
+        mlswarp.Plan(P, size=(W, H), alpha=np.float64("inf"))
+    assert (caught.value.code, caught.value.pointer) == ("not_finite", "/alpha")
     with pytest.raises(TypeError, match=r"Plan\.pose"):
         mlswarp.Pose()
 

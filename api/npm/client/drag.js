@@ -1,6 +1,7 @@
 // A drag over the socket of a session: the newest pose wins, and a connection that breaks is opened
 // again. The rules of the page (`src/web/live.js`) hold here too.
 
+import { jsonOf } from "../engine/json.js";
 import { ApiError, ConnectionFailed, GONE } from "./errors.js";
 import { floats } from "./rendered.js";
 
@@ -377,7 +378,7 @@ export class Drag extends EventTarget {
     if (performance.now() - oldest > late || socket.bufferedAmount > BACKLOG) return;
     this.#isSent = true;
     this.#unanswered.set(this.#pose, performance.now());
-    socket.send(JSON.stringify(this.#newest));
+    socket.send(jsonOf(this.#newest));
   }
 
   #giveUp() {

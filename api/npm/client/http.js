@@ -1,5 +1,6 @@
 // Requests: the key or token, the time that they may take, and which are sent again.
 
+import { jsonOf } from "../engine/json.js";
 import { ApiError, ConnectionFailed } from "./errors.js";
 
 /**
@@ -150,7 +151,7 @@ export class Http {
       const response = await this.fetch(`${this.server}/${path}`, {
         method,
         headers,
-        body: json ? JSON.stringify(json) : body,
+        body: json ? jsonOf(json) : body,
         keepalive,
         cache: "no-store",
         signal: signal ? AbortSignal.any([signal, limit.signal]) : limit.signal,

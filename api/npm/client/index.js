@@ -1,6 +1,7 @@
 // A client of the service, over `fetch` and WebSocket, for browsers and Node. `api/openapi.json`
 // describes what the objects contain; their types are generated from it.
 
+import { jsonOf } from "../engine/json.js";
 import { Drag } from "./drag.js";
 import { ApiError, ConnectionFailed } from "./errors.js";
 import { Http, json } from "./http.js";
@@ -35,7 +36,7 @@ function form(parts, object) {
   for (const [name, content] of Object.entries(parts)) {
     if (content === undefined) continue;
     if (name === object)
-      made.set(name, new Blob([JSON.stringify(content)], { type: "application/json" }));
+      made.set(name, new Blob([jsonOf(content)], { type: "application/json" }));
     else
       for (const file of /** @type {File[]} */ ([content].flat())) made.append(name, blobOf(file));
   }

@@ -3,6 +3,7 @@
 // An instance of the WebAssembly file: the only module that knows its functions and its memory.
 
 import { EngineCrashed, MlswarpError } from "./errors.js";
+import { jsonOf } from "./json.js";
 
 /** That of the file; see `wasm/src/lib.rs`. */
 const ABI_VERSION = 2;
@@ -146,7 +147,7 @@ export class Instance {
 
   /** @param {unknown} value */
   putJson(value) {
-    return this.put(utf8.encode(JSON.stringify(value)));
+    return this.put(utf8.encode(jsonOf(value)));
   }
 
   /** @param {number} number */

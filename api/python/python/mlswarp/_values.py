@@ -88,8 +88,27 @@ def _has_no_number(value: Any) -> bool:
 
 
 def to_json(value: Any) -> bytes:
-    """JSON of Python's and NumPy's values."""
-    return json.dumps(value, default=_of_numpy, separators=(",", ":")).encode()
+    """JSON of Python's and NumPy's values, which has neither NaN nor infinities."""
+    try:
+        text = json.dumps(value, default=_of_numpy, separators=(",", ":"), allow_nan=False)
+    except ValueError:
+        _refuse_no_number(value, "")
+        raise
+    return text.encode()
+
+
+def _refuse_no_number(value: Any, pointer: str) -> None:
+    value = _plain(value)
+    if isinstance(value, Mapping):
+        for name, member in value.items():
+            _refuse_no_number(member, f"{pointer}/{name}")
+    elif isinstance(value, list):
+        for index, member in enumerate(value):
+            _refuse_no_number(member, f"{pointer}/{index}")
+    elif _has_no_number(value):
+        raise InvalidWarp(
+            f"expected a finite number; found {value!r}", code="not_finite", pointer=pointer
+        )
 
 
 def _of_numpy(value: Any) -> Any:

@@ -187,6 +187,9 @@ test("errors have the code and the place that the service gives", async () => {
       undefined,
     ],
     [{ p: [[1, 2]], q: [[1, 2]], methd: 1 }, "unknown_field", "/methd"],
+    [{ p: [[1, 2]], q: [[1, NaN]] }, "not_finite", "/q/0/1"],
+    [{ p: [[1, 2]], q: [[1, 2]], strength: NaN }, "not_finite", "/strength"],
+    [{ p: [[1, 2]], q: [[1, 2]], alpha: Infinity }, "not_finite", "/alpha"],
     [
       { p: [[1, 2]], q: [[1, 2]], output: { format: "png", quality: 3000 } },
       "bad_value",
