@@ -53,7 +53,8 @@ fn made(k: usize) -> (Arc<Record>, Bytes) {
         rest: RestSpec {
             p,
             ..RestSpec::default()
-        },
+        }
+        .into(),
         pose: None,
         folds: Folds::default(),
         output: OutputSpec::default(),

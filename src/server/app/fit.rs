@@ -43,7 +43,7 @@ impl FitRest {
     fn parts(&self) -> (&RestSpec, Extent, Option<&Pose>) {
         match self {
             Self::Request(rest) => (&rest.0, rest.1, None),
-            Self::Session(record) => (&record.rest, record.extent, record.pose.as_ref()),
+            Self::Session(record) => (&*record.rest, record.extent, record.pose.as_deref()),
         }
     }
 }

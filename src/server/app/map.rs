@@ -164,7 +164,7 @@ pub(crate) async fn of_session(
     let parse = move |_: &_| {
         let mut object = Reserved::<MapObject, _>::parse_posed(&json, reserve)?;
         let Pose { q, strength } =
-            std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+            std::mem::take(&mut object.pose).onto(of_session.pose.as_deref())?;
         let q = part(&mut object, |_| {
             of_session.rest.posed(q, strength, of_session.extent).0
         });

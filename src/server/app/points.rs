@@ -234,7 +234,7 @@ pub(crate) async fn of_session(
             reserve,
         )?;
         let Pose { q, strength } =
-            std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+            std::mem::take(&mut object.pose).onto(of_session.pose.as_deref())?;
         let q = part(&mut object, |_| rest.posed(q, strength, size).0);
         Ok::<_, Problem>((object, Arc::new(q)))
     };

@@ -105,7 +105,8 @@ pub(crate) async fn of_session(
     let parse = move |_: &_| {
         let mut drag =
             Reserved::<DragObject, _>::parse_for_report(&json, of_session.rest.p.len(), reserve)?;
-        let Pose { q, strength } = std::mem::take(&mut drag.pose).onto(of_session.pose.as_ref())?;
+        let Pose { q, strength } =
+            std::mem::take(&mut drag.pose).onto(of_session.pose.as_deref())?;
         let output = drag.output.merge_onto(&of_session.output);
         output.check(of_session.extent, &limits)?;
         let (q, alignment) = of_session.rest.posed(q, strength, of_session.extent);

@@ -153,7 +153,7 @@ pub(crate) async fn posed(
     let is_inline = is_as_given || columns(record) <= MAX_INLINE_COLUMNS;
     let record = Arc::clone(record);
     let posed = move || {
-        let pose = drag.try_map(|drag| drag.pose.onto(record.pose.as_ref()))?;
+        let pose = drag.try_map(|drag| drag.pose.onto(record.pose.as_deref()))?;
         Ok(Arc::new(pose.map(|Pose { q, strength }| {
             record.rest.posed(q, strength, record.extent).0
         })))
@@ -267,7 +267,8 @@ mod tests {
                 p: (0..3).map(|k| Handle::Point(place(k))).collect(),
                 depth: Some(vec![0.0, 0.0, 1.0]),
                 ..RestSpec::default()
-            },
+            }
+            .into(),
             pose: None,
             folds: base.folds,
             output: base.output,

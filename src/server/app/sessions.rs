@@ -16,6 +16,7 @@ use super::{App, SESSION_ATTEMPTS};
 use crate::cache::CacheKey;
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName};
+use crate::limits::free::Shared;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
@@ -121,8 +122,8 @@ fn record_of(
         layers: made_with_region.map(layer).into_iter().collect(),
         made_with_region,
         extent: content.raster_source().extent(),
-        rest: object.rest,
-        pose,
+        rest: object.rest.into(),
+        pose: pose.map(Shared::from),
         folds: object.folds,
         output: object.output,
         created: SystemTime::now(),
@@ -189,9 +190,9 @@ async fn try_replace_handles(
             Reserved::<WarpPatch, _>::parse(&json, reserve)?.try_map(WarpPatch::without_files)?;
         let (q, strength) = before
             .pose
-            .clone()
-            .map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
-        let (rest, folds, output) = (before.rest.clone(), before.folds, before.output);
+            .as_deref()
+            .map_or((None, 1.0), |pose| (Some(pose.q.clone()), pose.strength));
+        let (rest, folds, output) = ((*before.rest).clone(), before.folds, before.output);
         let base = WarpObject {
             rest,
             q,
@@ -246,8 +247,8 @@ async fn try_replace_handles(
         let (object, _held) = object.into_parts();
         let new = Arc::new(Record {
             revision: Revision::random(),
-            rest: object.rest,
-            pose,
+            rest: object.rest.into(),
+            pose: pose.map(Shared::from),
             folds: object.folds,
             output: object.output,
             ..(*before).clone()

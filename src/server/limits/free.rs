@@ -2,12 +2,18 @@
 //! which the runtime's thread would not serve anybody.
 
 use std::ops::Deref;
+use std::sync::Arc;
 
+use mlswarp::warp::RestSpec;
 use tokio::runtime::Handle;
+
+use crate::wire::Pose;
 
 /// Values of fewer bytes are freed where they are dropped: handing them to another thread would
 /// take longer.
 const MIN_ASIDE_BYTES: u64 = 2 << 20;
+/// Bytes that are freed in the time of a handle, which may have an allocation of its own.
+const HANDLE_BYTES: u64 = 512;
 
 /// Drops a value of this number of bytes: on a blocking thread, if this may be a thread of the
 /// runtime.
@@ -20,14 +26,23 @@ pub fn free<T: Send + 'static>(value: T, bytes: u64) {
     }
 }
 
-/// A value of many small parts, which [`free`] drops whatever its size.
+/// A value that [`free`] drops.
 #[derive(Debug)]
-pub struct FreedAside<T: Send + 'static>(Option<T>);
+pub struct FreedAside<T: Send + 'static> {
+    value: Option<T>,
+    bytes: u64,
+}
 
 impl<T: Send> FreedAside<T> {
-    /// Takes the value.
+    /// Takes a value of many small parts.
     pub const fn new(value: T) -> Self {
-        Self(Some(value))
+        Self::of(value, u64::MAX)
+    }
+
+    /// Takes a value that is freed in the time of this number of bytes.
+    const fn of(value: T, bytes: u64) -> Self {
+        let value = Some(value);
+        Self { value, bytes }
     }
 }
 
@@ -35,7 +50,7 @@ impl<T: Send> Deref for FreedAside<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        self.0
+        self.value
             .as_ref()
             .expect("it is taken only when it is dropped")
     }
@@ -43,7 +58,55 @@ impl<T: Send> Deref for FreedAside<T> {
 
 impl<T: Send> Drop for FreedAside<T> {
     fn drop(&mut self) {
-        free(self.0.take(), u64::MAX);
+        free(self.value.take(), self.bytes);
+    }
+}
+
+/// A value with handles, which may be many. A copy is the same value, so that it takes no time, and
+/// the last one [frees](free) it.
+#[derive(Debug)]
+pub struct Shared<T: Send + Sync + 'static>(Arc<FreedAside<T>>);
+
+impl<T: Send + Sync> Shared<T> {
+    fn new(value: T, handles: usize) -> Self {
+        Self(Arc::new(FreedAside::of(
+            value,
+            HANDLE_BYTES * handles as u64,
+        )))
+    }
+}
+
+impl From<RestSpec> for Shared<RestSpec> {
+    fn from(rest: RestSpec) -> Self {
+        let handles = rest.p.len();
+        Self::new(rest, handles)
+    }
+}
+
+impl From<Pose> for Shared<Pose> {
+    fn from(pose: Pose) -> Self {
+        let handles = pose.q.len();
+        Self::new(pose, handles)
+    }
+}
+
+impl<T: Send + Sync> Clone for Shared<T> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<T: Send + Sync> Deref for Shared<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T: Send + Sync + PartialEq> PartialEq for Shared<T> {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0) || **self == **other
     }
 }
 

@@ -196,7 +196,7 @@ async fn grid_unless_handles(
     }
     let spec = RestSpec {
         p,
-        ..record.rest.clone()
+        ..(*record.rest).clone()
     };
     let content = app.plans.content_of(client, record).await?;
     let ticket = app.admission.upload(QueueKey::client(client)).await?;

@@ -45,7 +45,7 @@ impl Rest {
         frame: u32,
         reserve: ReserveMemory<'_>,
     ) -> Result<Held<Pose>, Problem> {
-        let (p, session) = (&self.spec().p, self.record.pose.as_ref());
+        let (p, session) = (&self.spec().p, self.record.pose.as_deref());
         // Where handles are not given, those of the session or those at rest take their place, and
         // a jitter makes a copy.
         let others = handles_bytes(p).max(session.map_or(0, |pose| handles_bytes(&pose.q)));

@@ -37,7 +37,7 @@ fn record(n: u8) -> Record {
         layers: BTreeMap::new(),
         made_with_region: None,
         extent: Extent::new(8, 8).unwrap(),
-        rest: RestSpec::default(),
+        rest: RestSpec::default().into(),
         pose: None,
         folds: Folds::default(),
         output: OutputSpec::default(),
@@ -142,7 +142,11 @@ fn bytes_are_counted_once_a_file_and_with_their_records() {
         )
     );
     let mut larger = record(0);
-    larger.rest.weights = Some(vec![1.0; 100]);
+    larger.rest = RestSpec {
+        weights: Some(vec![1.0; 100]),
+        ..RestSpec::default()
+    }
+    .into();
     assert_eq!(
         held.claim_revision(tenant(1), &larger, None)
             .unwrap_err()

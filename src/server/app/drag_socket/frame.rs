@@ -183,7 +183,7 @@ async fn picture_frame(
     let seq = request.pose.seq;
     let (record, content, plan) = admit_newest(app, client, record, None).await?;
     drop(turn);
-    let strength = request.pose.q.strength(record.pose.as_ref());
+    let strength = request.pose.q.strength(record.pose.as_deref());
     let q = read_handles(
         app,
         client,
@@ -246,7 +246,7 @@ async fn mesh_frame(
     // The lattice is chosen after admission; only JSON has a limit of its own.
     let (record, plan) = admit_mesh(app, client, record, &MeshForm::F32).await?;
     drop(turn);
-    let strength = request.pose.q.strength(record.pose.as_ref());
+    let strength = request.pose.q.strength(record.pose.as_deref());
     let q = read_handles(app, client, &plan.ticket, request.pose.q, &record).await?;
     let (shape, lattice) = mesh_shape(app, &plan, (form, &known), &record, &quota).await?;
     let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
@@ -319,7 +319,7 @@ async fn read_handles(
         Held::of_pose(
             &q,
             &record.rest,
-            record.pose.as_ref(),
+            record.pose.as_deref(),
             record.extent,
             reserve,
         )

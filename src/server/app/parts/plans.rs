@@ -103,7 +103,7 @@ impl Plans {
             depth,
             ..rest.clone()
         };
-        if before.rest != otherwise {
+        if *before.rest != otherwise {
             return Ok(None);
         }
         let Some(setup) = self.setups.peek(revision_key(before)) else {
@@ -363,7 +363,7 @@ mod tests {
             layers: std::collections::BTreeMap::new(),
             made_with_region: None,
             extent: extent(),
-            rest: rest(1.0),
+            rest: rest(1.0).into(),
             pose: None,
             folds: base.folds,
             output: base.output,

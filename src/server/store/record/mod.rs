@@ -149,7 +149,7 @@ impl Serialize for Warp<'_> {
             grid,
             align,
             has_unmatched: _,
-        } = &record.rest;
+        } = &*record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -187,7 +187,7 @@ impl Serialize for Warp<'_> {
         if let Some(depth) = depth {
             object.serialize_entry("depth", depth)?;
         }
-        if let Some(Pose { q, strength }) = &record.pose {
+        if let Some(Pose { q, strength }) = record.pose.as_deref() {
             object.serialize_entry("q", &AsJson(q.as_slice()))?;
             if strength.to_bits() != base.strength.to_bits() {
                 object.serialize_entry("strength", strength)?;
@@ -385,10 +385,11 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
         rest: RestSpec {
             has_unmatched: read.has_unmatched,
             ..warp.rest
-        },
-        pose: warp.q.map(|q| Pose {
-            q,
-            strength: warp.strength,
+        }
+        .into(),
+        pose: warp.q.map(|q| {
+            let strength = warp.strength;
+            Pose { q, strength }.into()
         }),
         folds: warp.folds,
         output: warp.output,

@@ -19,7 +19,7 @@ fn rich() -> Record {
         ..RestSpec::default()
     };
     Record {
-        rest,
+        rest: rest.into(),
         created: SystemTime::UNIX_EPOCH + Duration::from_nanos(1_795_000_000_123_456_789),
         ..(*suite::record(7)).clone()
     }
@@ -41,7 +41,7 @@ fn nothing_at_its_default() -> Record {
         },
         align: Align::Similarity,
         has_unmatched: true,
-        ..rich().rest
+        ..(*rich().rest).clone()
     };
     let output = OutputSpec {
         format: Format::Jpeg,
@@ -55,7 +55,7 @@ fn nothing_at_its_default() -> Record {
         holes: Holes::Transparent,
     };
     Record {
-        rest,
+        rest: rest.into(),
         folds: Folds::Reject,
         output,
         ..rich()
@@ -84,7 +84,7 @@ fn layered() -> Record {
 
 fn plain() -> Record {
     Record {
-        rest: base().rest,
+        rest: base().rest.into(),
         folds: base().folds,
         output: base().output,
         ..rich()
@@ -178,7 +178,8 @@ fn smoothing_is_written_and_digested_only_where_it_is_given() {
             method: Method::ThinPlateSpline,
             smoothing,
             ..base().rest
-        },
+        }
+        .into(),
         ..plain()
     };
     let (exact, smooth) = (spline(None), spline(Some(0.1)));
@@ -205,7 +206,8 @@ fn align_is_written_and_digested_only_where_it_is_requested() {
         rest: RestSpec {
             align,
             ..base().rest
-        },
+        }
+        .into(),
         ..plain()
     };
     assert!(text(&aligned(Align::None)).ends_with(r#","warp":{}}"#));
@@ -228,9 +230,12 @@ fn a_metric_is_written_with_its_threshold_and_a_mask_never() {
     let rest = RestSpec {
         metric: Metric::Geodesic,
         mask_threshold: Some(0.25),
-        ..rich().rest
+        ..(*rich().rest).clone()
     };
-    let inside = Record { rest, ..rich() };
+    let inside = Record {
+        rest: rest.into(),
+        ..rich()
+    };
     let written = text(&inside);
     assert!(written.contains("\"metric\":\"geodesic\""), "{written}");
     assert!(
@@ -317,7 +322,7 @@ proptest! {
     #[test]
     fn any_record_reads_back(warp in warp_object()) {
         let WarpObject { rest, folds, output, .. } = warp;
-        let record = Record { rest, folds, output, ..rich() };
+        let record = Record { rest: rest.into(), folds, output, ..rich() };
         prop_assert_eq!(&*read(&write(&record)).unwrap(), &record);
         let all = serde_json::to_string(&Warp(&record, Defaults::Written)).unwrap();
         prop_assert_eq!(&*read(&with_warp(&record, &all)).unwrap(), &record);

@@ -50,7 +50,7 @@ fn records_of_methods_are_those_of_former_versions() {
             .unwrap()
             .into_parts();
         let mut record = (*suite::record(7)).clone();
-        record.rest = patch.merge_onto(WarpObject::default()).rest;
+        record.rest = patch.merge_onto(WarpObject::default()).rest.into();
         assert_eq!(made(&record).to_string()[..16], *digest, "{text}");
         let written = write(&record);
         let json = String::from_utf8(written.clone()).unwrap();

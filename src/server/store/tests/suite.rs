@@ -51,7 +51,7 @@ pub(crate) fn record(picture: u8) -> Arc<Record> {
         layers: BTreeMap::new(),
         made_with_region: None,
         extent: Extent::new(4, 3).unwrap(),
-        rest: RestSpec::default(),
+        rest: RestSpec::default().into(),
         pose: None,
         folds: Folds::default(),
         output: OutputSpec::default(),
@@ -67,7 +67,7 @@ pub(crate) fn with_weights(record: &Record, n: usize) -> Arc<Record> {
     };
     Arc::new(Record {
         revision: Revision::random(),
-        rest,
+        rest: rest.into(),
         ..record.clone()
     })
 }
