@@ -4,7 +4,7 @@
 //! queue; the hooks for the thread's sleep tell the rest.
 
 use std::net::SocketAddr;
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
@@ -14,11 +14,10 @@ use mlswarp_server::app::App;
 use mlswarp_server::http::connection::{listen, serve};
 use rustix::time::{ClockId, clock_gettime};
 use tokio::sync::oneshot;
+use tokio::task::yield_now;
 
 use super::server::config;
 
-/// Passes without another task after which the runtime's thread may sleep.
-const IDLE_PASSES: u32 = 3;
 /// A pass that takes less has polled no other task.
 const IDLE: Duration = Duration::from_micros(4);
 
@@ -63,19 +62,27 @@ impl Clock {
     }
 }
 
-/// The task that is always ready.
-struct Metronome(Arc<Clock>, u32);
+/// The task that is always ready. Before it sleeps, a pass without another task is not enough: tasks
+/// that have used up their turn come when no other is ready. So it waits as long as they do, and
+/// lets them come first.
+struct Metronome {
+    clock: Arc<Clock>,
+    idle_passes: u32,
+}
 
 impl Future for Metronome {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
-        self.1 = if self.0.pass() < IDLE { self.1 + 1 } else { 0 };
-        if self.1 < IDLE_PASSES {
-            cx.waker().wake_by_ref();
-        } else {
-            self.1 = 0;
-            *self.0.metronome.lock().unwrap() = Some(cx.waker().clone());
+        let is_idle = self.clock.pass() < IDLE;
+        self.idle_passes = if is_idle { self.idle_passes + 1 } else { 0 };
+        match self.idle_passes {
+            2 => drop(pin!(yield_now()).poll(cx)),
+            0..=3 => cx.waker().wake_by_ref(),
+            _ => {
+                self.idle_passes = 0;
+                *self.clock.metronome.lock().unwrap() = Some(cx.waker().clone());
+            }
         }
         Poll::Pending
     }
@@ -92,6 +99,9 @@ impl ClockedServer {
         let (parks, wakes, ticks) = (Arc::clone(&clock), Arc::clone(&clock), Arc::clone(&clock));
         let thread = std::thread::spawn(move || {
             let mut builder = tokio::runtime::Builder::new_current_thread();
+            // Otherwise it would look for what is ready between its passes too, without the hooks:
+            // the metronome could sleep on, and several polls would count as one.
+            builder.event_interval(u32::MAX);
             builder.enable_all().on_thread_unpark(move || wakes.wake());
             builder.on_thread_park(move || {
                 parks.pass();
@@ -99,7 +109,10 @@ impl ClockedServer {
             let runtime = builder.build().unwrap();
             says.send(runtime.handle().clone()).unwrap();
             runtime.block_on(async {
-                tokio::spawn(Metronome(ticks, 0));
+                tokio::spawn(Metronome {
+                    clock: ticks,
+                    idle_passes: 0,
+                });
                 let stop = async {
                     let _ = stopped.await;
                 };

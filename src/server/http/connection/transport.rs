@@ -25,6 +25,9 @@ const MAX_SLICES: usize = 16;
 /// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at
 /// most.
 const BYTES_PER_BUDGET_UNIT: usize = 1 << 10;
+/// Units for a call that moves few bytes or many: a body of small pieces, such as a batch of small
+/// frames, takes a call for each, and the time of a call is that of some KiB.
+const UNITS_PER_CALL: usize = 8;
 /// How often a blocked write is tried again within the write timeout.
 const WRITE_RETRIES: u32 = 8;
 
@@ -129,10 +132,10 @@ impl AsyncRead for WriteTimeoutStream {
     }
 }
 
-/// Takes the moved bytes from the budget of this poll. When it is used up, the socket is not ready
-/// before the next one.
+/// Takes a call and the bytes that it has moved from the budget of this poll. When it is used up, the
+/// socket is not ready before the next one.
 fn charge(cx: &mut Context<'_>, bytes: usize) {
-    for _ in 0..bytes / BYTES_PER_BUDGET_UNIT {
+    for _ in 0..UNITS_PER_CALL + bytes / BYTES_PER_BUDGET_UNIT {
         if !coop::has_budget_remaining() {
             return;
         }
