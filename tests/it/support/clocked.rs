@@ -62,9 +62,9 @@ impl Clock {
     }
 }
 
-/// The task that is always ready. Before it sleeps, a pass without another task is not enough: tasks
-/// that have used up their turn come when no other is ready. So it waits as long as they do, and
-/// lets them come first.
+/// The task that is always ready. Before it sleeps, a pass without another task is not enough:
+/// tasks that have used up their turn come when no other is ready. So it waits as long as they do,
+/// and lets them come first.
 struct Metronome {
     clock: Arc<Clock>,
     idle_passes: u32,

@@ -132,8 +132,8 @@ impl AsyncRead for WriteTimeoutStream {
     }
 }
 
-/// Takes a call and the bytes that it has moved from the budget of this poll. When it is used up, the
-/// socket is not ready before the next one.
+/// Takes a call and the bytes that it has moved from the budget of this poll. When it is used up,
+/// the socket is not ready before the next one.
 fn charge(cx: &mut Context<'_>, bytes: usize) {
     for _ in 0..UNITS_PER_CALL + bytes / BYTES_PER_BUDGET_UNIT {
         if !coop::has_budget_remaining() {

@@ -1,7 +1,8 @@
-//! `sum w t^m` of segments at alpha 2, t from a in lengths of the segment: about 1e-13 of the largest
-//! of them, for sums that cancel beside the segment in any case. An eighth of the time of
-//! [`View::moments`](super::segments::View). In two steps, each for several segments: in one, so many
-//! operations would wait for each other that a processor has no room for those of a second segment.
+//! `sum w t^m` of segments at alpha 2, t from a in lengths of the segment: about 1e-13 of the
+//! largest of them, for sums that cancel beside the segment in any case. An eighth of the time of
+//! [`View::moments`](super::segments::View). In two steps, each for several segments: in one, so
+//! many operations would wait for each other that a processor has no room for those of a second
+//! segment.
 
 #![expect(
     clippy::needless_range_loop,
