@@ -35,8 +35,7 @@ function form(parts, object) {
   const made = new FormData();
   for (const [name, content] of Object.entries(parts)) {
     if (content === undefined) continue;
-    if (name === object)
-      made.set(name, new Blob([jsonOf(content)], { type: "application/json" }));
+    if (name === object) made.set(name, new Blob([jsonOf(content)], { type: "application/json" }));
     else
       for (const file of /** @type {File[]} */ ([content].flat())) made.append(name, blobOf(file));
   }
