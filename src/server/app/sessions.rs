@@ -16,7 +16,7 @@ use super::{App, SESSION_ATTEMPTS};
 use crate::cache::CacheKey;
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName};
-use crate::limits::free::Shared;
+use crate::limits::free::SharedHandles;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
@@ -123,7 +123,7 @@ fn record_of(
         made_with_region,
         extent: content.raster_source().extent(),
         rest: object.rest.into(),
-        pose: pose.map(Shared::from),
+        pose: pose.map(SharedHandles::from),
         folds: object.folds,
         output: object.output,
         created: SystemTime::now(),
@@ -248,7 +248,7 @@ async fn try_replace_handles(
         let new = Arc::new(Record {
             revision: Revision::random(),
             rest: object.rest.into(),
-            pose: pose.map(Shared::from),
+            pose: pose.map(SharedHandles::from),
             folds: object.folds,
             output: object.output,
             ..(*before).clone()

@@ -65,9 +65,9 @@ impl<T: Send> Drop for FreedAside<T> {
 /// A value with handles, which may be many. A copy is the same value, so that it takes no time, and
 /// the last one [frees](free) it.
 #[derive(Debug)]
-pub struct Shared<T: Send + Sync + 'static>(Arc<FreedAside<T>>);
+pub struct SharedHandles<T: Send + Sync + 'static>(Arc<FreedAside<T>>);
 
-impl<T: Send + Sync> Shared<T> {
+impl<T: Send + Sync> SharedHandles<T> {
     fn new(value: T, handles: usize) -> Self {
         Self(Arc::new(FreedAside::of(
             value,
@@ -76,27 +76,27 @@ impl<T: Send + Sync> Shared<T> {
     }
 }
 
-impl From<RestSpec> for Shared<RestSpec> {
+impl From<RestSpec> for SharedHandles<RestSpec> {
     fn from(rest: RestSpec) -> Self {
         let handles = rest.p.len();
         Self::new(rest, handles)
     }
 }
 
-impl From<Pose> for Shared<Pose> {
+impl From<Pose> for SharedHandles<Pose> {
     fn from(pose: Pose) -> Self {
         let handles = pose.q.len();
         Self::new(pose, handles)
     }
 }
 
-impl<T: Send + Sync> Clone for Shared<T> {
+impl<T: Send + Sync> Clone for SharedHandles<T> {
     fn clone(&self) -> Self {
         Self(Arc::clone(&self.0))
     }
 }
 
-impl<T: Send + Sync> Deref for Shared<T> {
+impl<T: Send + Sync> Deref for SharedHandles<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -104,7 +104,7 @@ impl<T: Send + Sync> Deref for Shared<T> {
     }
 }
 
-impl<T: Send + Sync + PartialEq> PartialEq for Shared<T> {
+impl<T: Send + Sync + PartialEq> PartialEq for SharedHandles<T> {
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0) || **self == **other
     }

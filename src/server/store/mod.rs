@@ -65,7 +65,7 @@ pub use url::StoreUrl;
 
 use crate::client::Owner;
 use crate::layer::{LayerKind, LayerName};
-use crate::limits::free::Shared;
+use crate::limits::free::SharedHandles;
 use crate::problem::words::period;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
@@ -98,9 +98,9 @@ pub struct Record {
     /// Upright size of the image.
     pub extent: Extent,
     /// Handles at rest and the parameters of the deformation, as the client gave them.
-    pub rest: Shared<RestSpec>,
+    pub rest: SharedHandles<RestSpec>,
     /// Where the handles are in requests without `q`.
-    pub pose: Option<Shared<Pose>>,
+    pub pose: Option<SharedHandles<Pose>>,
     /// How folds are handled.
     pub folds: Folds,
     /// How images are drawn unless a drag says otherwise.
