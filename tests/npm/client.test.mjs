@@ -103,6 +103,20 @@ describe("against the program", () => {
     const extent = [451, 300];
     const mapped = await client.points({ extent, p: P, q: Q, points: [[240, 250]], boxes: [] });
     assert.equal(mapped.points.length, 1);
+    // What the service hands back unread is written as in any JSON; what it reads is not.
+    const feature = (score, x) => ({
+      type: "Feature",
+      properties: { score },
+      geometry: { type: "Point", coordinates: [x, 5] },
+    });
+    const { geojson } = await client.points({ extent, p: P, q: Q, geojson: feature(NaN, 5) });
+    assert.equal(geojson.properties.score, null);
+    const no = await client
+      .points({ extent, p: P, q: Q, geojson: feature(1, NaN) })
+      .catch((error) => error);
+    assert.match(no.pointer, /^\/geojson\/geometry\/coordinates/);
+    const both = { extent, p: P, q: Q, strength: NaN, geojson: feature(NaN, 5) };
+    assert.equal((await client.points(both).catch((error) => error)).pointer, "/strength");
     const map = await client.map({ extent, p: P, q: Q, width: 40 }, { accept: "image/tiff" });
     assert.equal(map.blob.type, "image/tiff");
     const warped = { extent, p: P, q: Q };

@@ -165,9 +165,8 @@ impl Drop for LimitedBody {
     }
 }
 
-/// Buffers of more bytes are moved on a blocking thread. To move as many takes half a tenth of a
-/// millisecond, with the pages of the new buffer; the two hand-overs to a thread and back take a
-/// tenth.
+/// Buffers of more bytes are moved on a blocking thread. To move as many takes 0.05 ms, with the
+/// pages of the new buffer; the two hand-overs to a thread and back take 0.1 ms.
 const MAX_COPIED_INLINE_BYTES: usize = 256 << 10;
 /// A buffer that a session keeps may have this share of unused bytes: one in this number.
 const MAX_UNUSED_SHARE: usize = 64;

@@ -127,7 +127,9 @@ impl AsyncRead for WriteTimeoutStream {
     ) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(cx, into);
-        charge(cx, into.filled().len() - before);
+        if read.is_ready() {
+            charge(cx, into.filled().len() - before);
+        }
         read
     }
 }
@@ -214,12 +216,46 @@ impl AsyncWrite for WriteTimeoutStream {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::limits::connections::ConnectionLimiter;
 
     fn lengths(slices: &[&[u8]]) -> Vec<usize> {
         let slices: Vec<_> = slices.iter().map(|slice| IoSlice::new(slice)).collect();
         let mut parts = [IoSlice::new(&[]); MAX_SLICES];
         let count = beginning(&slices, &mut parts);
         parts[..count].iter().map(|part| part.len()).collect()
+    }
+
+    /// Writes of that many bytes until the stream wants another turn; how many there were.
+    async fn writes_in_a_turn(bytes: usize) -> usize {
+        let listener = tokio::net::TcpListener::bind(("127.0.0.1", 0))
+            .await
+            .unwrap();
+        let _client = TcpStream::connect(listener.local_addr().unwrap())
+            .await
+            .unwrap();
+        let (socket, peer) = listener.accept().await.unwrap();
+        let permit = ConnectionLimiter::new(1, 1).acquire(peer.ip(), false);
+        let timeout = Duration::from_secs(9);
+        let mut stream = WriteTimeoutStream::new(socket, timeout, permit.unwrap()).unwrap();
+        stream.socket.writable().await.unwrap();
+        let (piece, mut count) = (vec![0; bytes], 0);
+        tokio::task::yield_now().await;
+        std::future::poll_fn(|cx| {
+            while Pin::new(&mut stream).poll_write(cx, &piece).is_ready() {
+                count += 1;
+            }
+            Poll::Ready(())
+        })
+        .await;
+        count
+    }
+
+    #[tokio::test]
+    async fn small_writes_use_up_a_turn_too() {
+        let small = tokio::spawn(writes_in_a_turn(128)).await.unwrap();
+        assert!((8..=16).contains(&small), "{small}");
+        let large = tokio::spawn(writes_in_a_turn(16 << 10)).await.unwrap();
+        assert!((4..=8).contains(&large), "{large}");
     }
 
     #[test]
