@@ -101,6 +101,10 @@ function widestOf(size, format, { side, pixels }) {
 export class ExportDialog {
   #settings = storedSettings();
   #width = 0;
+  /** The width of the picture that `#width` was chosen for, px. */
+  #chosenFor = 0;
+  /** Whether the user typed the width, which stays when the size of the picture changes. */
+  #isTyped = false;
   /** @type {{ key: string, blob: Blob } | null} */
   #prepared = null; // { key, blob }
   /** @type {AbortController | null} */
@@ -162,14 +166,44 @@ export class ExportDialog {
 
   show() {
     if (this.store.state.phase !== "open" || this.dialog.open) return;
-    const widest = widestOf(this.#size, this.#settings.format, this.limits);
-    this.#width = Math.min(
-      widest,
-      Math.max(1, Math.round((this.#settings.scale * this.#size[0]) / 100)),
-    );
+    this.#isTyped = false;
+    this.#fit();
     this.#prepared = null;
     this.dialog.showModal();
     this.#changed();
+  }
+
+  /** The width by the scale, or the scale of the width that was typed. */
+  #fit() {
+    const [width] = this.#size;
+    this.#chosenFor = width;
+    if (this.#isTyped) {
+      this.#settings = { ...this.#settings, scale: (100 * this.#width) / width };
+      return;
+    }
+    const widest = widestOf(this.#size, this.#settings.format, this.limits);
+    this.#width = Math.min(widest, Math.max(1, Math.round((this.#settings.scale * width) / 100)));
+  }
+
+  /**
+   * Resolves when the picture of the newest pose is here, which may have another size than the one
+   * that was shown when the dialog opened.
+   */
+  async #settled() {
+    await this.sync.settled();
+    if (this.#size[0] === this.#chosenFor) return;
+    this.#fit();
+    this.#draw(null);
+  }
+
+  /** Stops what is under way. */
+  async #begin() {
+    this.#stop();
+    const cancel = new AbortController();
+    this.#cancel = cancel;
+    await this.#settled();
+    cancel.signal.throwIfAborted();
+    return cancel.signal;
   }
 
   /** @param {Partial<Settings>} change */
@@ -186,6 +220,7 @@ export class ExportDialog {
    */
   #resize(width, typed) {
     this.#width = width;
+    this.#isTyped = typed === find("export-width");
     if (width >= 1) this.#settings = { ...this.#settings, scale: (100 * width) / this.#size[0] };
     keepSetting("export", JSON.stringify(this.#settings));
     this.#changed(typed);
@@ -285,14 +320,12 @@ export class ExportDialog {
 
   /** The file, from the server unless it is prepared already. */
   async #prepare() {
+    const signal = await this.#begin();
     const output = this.#output;
     const key = JSON.stringify(output);
     if (this.#prepared?.key !== key) {
-      this.#stop();
-      const cancel = new AbortController();
-      this.#cancel = cancel;
-      const blob = await warpedPicture(this.sync, this.store, output, cancel.signal);
-      cancel.signal.throwIfAborted();
+      const blob = await warpedPicture(this.sync, this.store, output, signal);
+      signal.throwIfAborted();
       this.#prepared = { key, blob };
     }
     text(
@@ -307,21 +340,17 @@ export class ExportDialog {
   }
 
   async #estimate() {
-    this.#stop();
-    const cancel = new AbortController();
-    this.#cancel = cancel;
-    const size = await this.animation.estimate(this.#output, cancel.signal);
-    if (!cancel.signal.aborted) text("export-result", `${this.#frames}, about ${bytes(size)}`);
+    const signal = await this.#begin();
+    const size = await this.animation.estimate(this.#output, signal);
+    if (!signal.aborted) text("export-result", `${this.#frames}, about ${bytes(size)}`);
   }
 
   /** The animation, unless it is cancelled. */
   async #animate() {
-    this.#stop();
-    const cancel = new AbortController();
-    this.#cancel = cancel;
+    const signal = await this.#begin();
     find("export-problem").hidden = true;
     text("export-result", "");
-    return this.animation.fetch(this.#output, cancel.signal);
+    return this.animation.fetch(this.#output, signal);
   }
 
   get #name() {
@@ -339,7 +368,7 @@ export class ExportDialog {
   }
 
   async #copy() {
-    await this.sync.settled();
+    await this.#settled();
     const line = this.#isAnimation
       ? batchLine(this.sync, this.#name, this.animation.media, this.animation.body(this.#output))
       : curlLine(this.sync, this.store.state, this.#output);

@@ -236,3 +236,20 @@ def test_a_problem_is_shown_in_the_dialog(visits, picture):
         assert not visit.page.locator("#export-problem").is_visible()
     finally:
         server.stop()
+
+
+@pytest.mark.parametrize("typed", [False, True])
+def test_a_dialog_that_opens_before_the_picture_takes_its_size(bent, typed):
+    bent.drag((140, 130), (20, 130))
+    bent.ready()
+    with bent.without_pictures():
+        bent.page.select_option("#canvas", "fit")
+        bent.page.click("#export-open")
+        assert bent.page.locator("#export-width").input_value() == "400"
+        if typed:
+            choose(bent, width=400, format="jpeg")
+    size, _ = shown(bent)
+    whole = bent.saved("export-save")[1]
+    drawn = Image.open(io.BytesIO(whole)).size
+    assert size == drawn
+    assert (drawn[0] == 400) == typed
