@@ -24,8 +24,11 @@ use std::path::Path;
 use gallery::Picture;
 use gallery::figures::FIGURES;
 use harness::{Goal, Report, contender, inside, pool};
-use mlswarp::deform::{CoefficientTable, Method};
+use mlswarp::deform::{
+    CoefficientTable, Coincident, Handle, Handles, Method, Parameters, RestDeformation,
+};
 use mlswarp::geometry::Grid;
+use mlswarp::topology::{Mask, Membership};
 use mlswarp::warp::{GridSpec, Limits, Metric, ResolvedRest, RestSpec};
 
 fn main() {
@@ -85,6 +88,64 @@ fn main() {
         report.table("plan", 15, &mut contenders);
     }
     inside_an_outline(&mut report);
+    as_rigid_as_possible(&mut report);
+}
+
+/// The mesh of the horse in pieces of 8 px, and that of a whole picture of 500 x 500 px in pieces
+/// of 5, with 11 handles each: once for handles at rest, and a pose, without its report.
+fn as_rigid_as_possible(report: &mut Report) {
+    let figure = FIGURES.iter().find(|figure| figure.name == "figure-4");
+    let figure = figure.expect("a figure of the gallery");
+    let images = concat!(env!("CARGO_MANIFEST_DIR"), "/test_files/images");
+    let picture = Picture::open(&Path::new(images).join(figure.image)).expect("a photograph");
+    let all = |_, row: &mut [Membership]| row.fill(Membership::Inside);
+    let whole = Mask::new(sets::SIDE as u32, sets::SIDE as u32, all, &|| false);
+    let (p, q) = sets::points(11);
+    let points = |list: Vec<_>| list.into_iter().map(Handle::Point).collect::<Vec<_>>();
+    let horse = (figure.rest.handles(), figure.posed.handles());
+    let scenes = [
+        (
+            "the horse",
+            picture.mask.mask.clone(),
+            horse,
+            8.0,
+            [0.35, 5.0],
+        ),
+        (
+            "a whole picture",
+            whole.expect("nothing cancels it").into(),
+            (points(p), points(q)),
+            5.0,
+            [1.3, 20.0],
+        ),
+    ];
+    for (name, mask, (p, q), side, [of_pose, of_rest]) in &scenes {
+        let build = || {
+            let handles = Handles::new(p.clone(), None).expect("handles");
+            let given = Parameters::default().with("arap/cell", *side);
+            let method = Method::AsRigidAsPossible;
+            RestDeformation::of(handles, Coincident::default(), method, &given, &|| false)
+                .and_then(|field| field.inside(mask, (u64::MAX, u64::MAX), &|| false))
+                .expect("handles of the method")
+        };
+        let field = build();
+        let pose = field.pose(q).expect("handles of the method");
+        let posed = || field.pose_mesh(black_box(&pose), &|| false);
+        let (mesh, _) = posed().expect("a mesh");
+        let vertices = mesh.cut_mesh().map_or(0, |cut| cut.displacement().len());
+        let title = format!("as rigid as possible, {name}, {vertices} vertices");
+        if !harness::wanted(&title) {
+            continue;
+        }
+        let one = pool(1);
+        let mut contenders = [
+            inside(&one, "a pose".to_owned(), || drop(black_box(posed()))),
+            inside(&one, "once for p".to_owned(), || drop(black_box(build()))),
+        ];
+        let times = report.table(&title, 25, &mut contenders);
+        report.goal("a pose, ms", 1e3 * times[0], Goal::AtMost(*of_pose));
+        report.goal("once for p, ms", 1e3 * times[1], Goal::AtMost(*of_rest));
+    }
 }
 
 /// The horse of the gallery, in cells of 4 px.

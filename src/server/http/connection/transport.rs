@@ -12,6 +12,7 @@ use tokio::task::coop;
 use tokio::time::{Sleep, sleep};
 use tokio_util::either::Either;
 
+use super::turns::is_poll_over;
 use crate::auth::tls::{TlsStream, inner};
 use crate::limits::connections::ConnectionPermit;
 
@@ -125,6 +126,7 @@ impl AsyncRead for WriteTimeoutStream {
         cx: &mut Context<'_>,
         into: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        ready!(poll_turn(cx));
         let before = into.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(cx, into);
         if read.is_ready() {
@@ -132,6 +134,15 @@ impl AsyncRead for WriteTimeoutStream {
         }
         read
     }
+}
+
+/// Ready unless this poll has taken its time; the socket is used in the next one then.
+fn poll_turn(cx: &Context<'_>) -> Poll<()> {
+    if !is_poll_over() {
+        return Poll::Ready(());
+    }
+    cx.waker().wake_by_ref();
+    Poll::Pending
 }
 
 /// Takes a call and the bytes that it has moved from the budget of this poll. When it is used up,
@@ -180,6 +191,7 @@ impl AsyncWrite for WriteTimeoutStream {
         slices: &[IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         // The turn is over, which says nothing of the client.
+        ready!(poll_turn(cx));
         drop(ready!(coop::poll_proceed(cx)));
         let mut parts = [IoSlice::new(&[]); MAX_SLICES];
         let count = beginning(slices, &mut parts);

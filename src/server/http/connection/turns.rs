@@ -7,6 +7,7 @@
 //! that is alone gets all of the time. Half of the time that passes is forgiven, so that a client
 //! that asks for one thing after another seldom waits for a round.
 
+use std::cell::Cell;
 use std::collections::{HashMap, VecDeque};
 use std::net::IpAddr;
 use std::pin::Pin;
@@ -21,6 +22,37 @@ use crate::client::Tenant;
 const TURN_TIME: Duration = Duration::from_micros(100);
 /// Number of addresses from which those without a task are removed.
 const MANY_ADDRESSES: usize = 1024;
+
+thread_local! {
+    /// The poll in a turn that this thread makes: when it began, and whether it has used its socket.
+    static POLL: Cell<Option<(Instant, bool)>> = const { Cell::new(None) };
+}
+
+/// Whether the poll that is about to use its socket has taken [`TURN_TIME`]: what follows, such as
+/// the writing of a response after the work on its request, waits for another poll, so that other
+/// tasks come in between. The first use in a poll never waits, so that every poll makes progress.
+pub(super) fn is_poll_over() -> bool {
+    let Some((began, has_used)) = POLL.get() else {
+        return false;
+    };
+    POLL.set(Some((began, true)));
+    has_used && began.elapsed() >= TURN_TIME
+}
+
+/// A poll in a turn; its end, also by a panic.
+struct PollInTurn(Option<(Instant, bool)>);
+
+impl PollInTurn {
+    fn begin(began: Instant) -> Self {
+        Self(POLL.replace(Some((began, false))))
+    }
+}
+
+impl Drop for PollInTurn {
+    fn drop(&mut self) {
+        POLL.set(self.0);
+    }
+}
 
 /// The turns of all addresses. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -239,7 +271,9 @@ impl<F: Future> Future for InTurn<F> {
         }
         this.place = None;
         let began = Instant::now();
+        let poll = PollInTurn::begin(began);
         let polled = this.future.as_mut().poll(cx);
+        drop(poll);
         this.address.used(began.elapsed());
         polled
     }
@@ -303,6 +337,31 @@ mod tests {
         let (few, many) = (beside(1, TURN_TIME).await, beside(300, TURN_TIME).await);
         eprintln!("polls beside 100 of another address: {few} of one task, {many} of 300");
         assert!(many <= 3 * few.max(100), "{many} polls beside 100");
+    }
+
+    #[tokio::test]
+    async fn a_poll_that_takes_long_uses_its_socket_once() {
+        assert!(!is_poll_over(), "outside of a turn");
+        let uses = async {
+            let first = is_poll_over();
+            let began = Instant::now();
+            while began.elapsed() < TURN_TIME {}
+            let second = is_poll_over();
+            tokio::task::yield_now().await;
+            [first, second, is_poll_over()]
+        };
+        let uses = tokio::spawn(Turns::default().of(address(1)).take(uses));
+        assert_eq!(uses.await.unwrap(), [false, true, false]);
+        let panics = Turns::default()
+            .of(address(1))
+            .take(async { panic!("in a poll") });
+        assert!(
+            std::panic::AssertUnwindSafe(panics)
+                .catch_unwind()
+                .await
+                .is_err()
+        );
+        assert!(POLL.get().is_none());
     }
 
     #[tokio::test]
