@@ -596,7 +596,7 @@ async fn one_client_has_half_of_the_sockets() {
 async fn one_client_has_half_of_the_memory_for_uploads() {
     const SENT: u64 = 2_000_000;
     /// Reserved for an upload beside its bytes: the request and the parser of its parts.
-    const BESIDE: u64 = (16 << 10) + (128 << 10);
+    const BESIDE_BYTES: u64 = (16 << 10) + (128 << 10);
     let server = Server::start(&[
         "--memory-bytes=32MiB",
         "--body-timeout=5min",
@@ -621,8 +621,8 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     let arrived = || {
         let held = server.app.admission.request_quota(one.who()).held();
         assert!(held <= limit);
-        let count = held / (SENT + BESIDE);
-        (held % (SENT + BESIDE) <= (announced - SENT) * count).then_some(count)
+        let count = held / (SENT + BESIDE_BYTES);
+        (held % (SENT + BESIDE_BYTES) <= (announced - SENT) * count).then_some(count)
     };
     let (mut streams, mut refused) = (Vec::new(), 0);
     for _ in 0..12 {
