@@ -1,9 +1,17 @@
 //! The numbers that a method takes beside handles: what they are, and the ones that are given.
 
-use super::{DeformError, Handles};
+use super::{DeformError, Handles, METHODS};
 
-/// Most parameters that are given at once.
-const MAX_PARAMETERS: usize = 8;
+/// Most parameters that are given at once: a client may send those of all methods, and is told that
+/// they do not belong together. Those of several methods count as often.
+const MAX_PARAMETERS: usize = {
+    let (mut count, mut k) = (0, 0);
+    while k < METHODS.len() {
+        count += METHODS[k].parameters.len();
+        k += 1;
+    }
+    count
+};
 
 /// A number that some methods take.
 #[derive(Debug)]
@@ -44,7 +52,7 @@ impl Parameters {
     /// These with one more, or with another value.
     ///
     /// # Panics
-    /// If more than eight are given.
+    /// If more are given than all methods have.
     ///
     /// ```
     /// use mlswarp::deform::Parameters;
@@ -60,7 +68,7 @@ impl Parameters {
         for (place, given) in self.0.iter_mut().zip(&given) {
             *place = Some(*given);
         }
-        assert!(given.len() <= MAX_PARAMETERS, "eight parameters at most");
+        assert!(given.len() <= MAX_PARAMETERS, "parameters of methods");
         self
     }
 

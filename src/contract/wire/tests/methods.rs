@@ -1,5 +1,9 @@
 //! Parameters of methods, and the comparison of methods.
 
+use std::collections::BTreeSet;
+
+use mlswarp::deform::METHODS;
+
 use super::*;
 
 #[test]
@@ -48,6 +52,23 @@ fn parameters_stay_with_their_method() {
         merged(r#"{"method": "rigid"}"#, &spline),
         (Method::Rigid, None, None, None)
     );
+}
+
+/// They do not belong together, which the engine says; reading them has room for all.
+#[test]
+fn a_request_can_have_the_parameters_of_all_methods() {
+    let parameters = METHODS.iter().flat_map(|info| info.parameters);
+    let paths: BTreeSet<&str> = parameters.map(|parameter| parameter.path).collect();
+    let mut request = json!({});
+    for path in &paths {
+        match path.split_once('/') {
+            Some((object, name)) => request[object][name] = json!(1),
+            None => request[*path] = json!(1),
+        }
+    }
+    let given = WarpObject::parse(request.to_string().as_bytes()).unwrap();
+    let given = given.rest.parameters();
+    assert!(given.iter().map(|(path, _)| path).eq(paths));
 }
 
 #[test]
