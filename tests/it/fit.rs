@@ -461,6 +461,16 @@ async fn what_cannot_be_compared_is_refused() {
             "bad_value",
             "/candidates/0/smoothing",
         ),
+        (
+            with(json!({"candidates": [{"method": "affine"}, {"method": "arap"}]})),
+            "not_supported",
+            "/candidates/1/method",
+        ),
+        (
+            with(json!({"candidates": [{"method": "beier_neely"}]})),
+            "not_supported",
+            "/candidates/0/method",
+        ),
         (with(json!({"p": line, "q": line})), "bad_value", "/p/2"),
         (
             with(json!({"p": [[1, 1], [2, 2], [3, 4], [1, 1]],

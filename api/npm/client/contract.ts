@@ -981,7 +981,8 @@ export type Blend = {
 };
 
 /**
- * A method with its parameters. Defaults: `alpha` 1, `smoothing` 0.
+ * A method with its parameters. Defaults: `alpha` 1, `smoothing` 0. Methods are compared on
+ * points, without an image: `beier_neely` and `arap` are refused.
  */
 export type Candidate = {
   method: EffectiveMethod;

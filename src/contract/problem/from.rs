@@ -62,6 +62,9 @@ impl From<WarpError> for Problem {
             WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail)
                 .pointer(format!("/p/{handle}"))
                 .handle(handle),
+            WarpError::NotCompared { .. } => {
+                Self::new(Code::NotSupported, detail).pointer("/method")
+            }
             WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail)
                 .pointer("/p")
                 .actual(actual),

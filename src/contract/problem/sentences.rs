@@ -158,6 +158,10 @@ pub(super) fn of_warp(error: &WarpError) -> String {
                 without `smoothing`, and with the metric `euclidean`; use `report` or `reject` here"
                 .to_owned()
         }
+        WarpError::NotCompared { method } => format!(
+            "the method `{method}` is no candidate: methods are compared on points, without an \
+                image; leave it out"
+        ),
         WarpError::Unreachable { .. } => {
             format!("{error}; move them otherwise, or send `\"folds\": \"report\"`")
         }

@@ -124,7 +124,7 @@ pub fn predictions(
 /// Locates an error in a candidate.
 fn in_candidate(index: usize, mut problem: Problem) -> Problem {
     if let Some(pointer) = &mut problem.pointer
-        && ["/alpha", "/smoothing"].contains(&pointer.as_str())
+        && ["/method", "/alpha", "/smoothing"].contains(&pointer.as_str())
         && problem.code != Code::Overloaded
     {
         pointer.insert_str(0, &format!("/candidates/{index}"));

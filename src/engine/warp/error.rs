@@ -60,6 +60,11 @@ pub enum WarpError {
         /// Index of the handle.
         handle: usize,
     },
+    /// A method that says nothing about points in the plane, where methods are compared.
+    NotCompared {
+        /// Its name.
+        method: &'static str,
+    },
     /// Too few points to compare methods.
     TooFewPoints {
         /// The fewest.
@@ -155,6 +160,10 @@ impl fmt::Display for WarpError {
             Self::LineInFit { handle } => write!(
                 f,
                 "handle {handle} is a line, but methods are compared on points"
+            ),
+            Self::NotCompared { method } => write!(
+                f,
+                "the method {method} is not compared with others: it takes lines, or needs an image"
             ),
             Self::TooFewPoints { least, actual } => write!(
                 f,

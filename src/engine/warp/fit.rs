@@ -186,12 +186,16 @@ impl Fit {
     /// for a spline O(points^3).
     ///
     /// # Errors
-    /// A parameter of another method or out of range, cancelled.
+    /// A method that is not compared, a parameter of another method or out of range, cancelled.
     pub fn predict(
         &self,
         candidate: Candidate,
         cancelled: IsCancelled<'_>,
     ) -> Result<Prediction, WarpError> {
+        let info = candidate.method.info();
+        if info.candidates.is_empty() {
+            return Err(WarpError::NotCompared { method: info.name });
+        }
         let rest = candidate.applied_to(self.rest.clone());
         check_parameters(&rest)?;
         let candidate = candidate.resolved(&self.handles).map_err(WarpError::Rest)?;

@@ -104,7 +104,8 @@ pub struct MethodInfo {
     pub can_mirror: bool,
     /// Whether a pose can give the image as a whole another size.
     pub can_scale: bool,
-    /// What is tried where methods are compared: parameters of each candidate.
+    /// What is tried where methods are compared: parameters of each candidate. A method without one
+    /// is not compared.
     pub candidates: &'static [&'static [(&'static str, f64)]],
     /// Of candidates that predict equally well, those of the least number win.
     pub candidate_order: u8,
