@@ -225,8 +225,10 @@ impl CutMesh {
     /// The posed vertices of a quad.
     #[must_use]
     pub fn posed(&self, cell: &CutCell) -> [Point; 4] {
-        cell.vertices
-            .map(|vertex| self.cells.vertex(vertex) + self.displaced(vertex))
+        // `map` of arrays is a call for each element here.
+        let at = |vertex| self.cells.vertex(vertex) + self.displaced(vertex);
+        let [a, b, c, d] = cell.vertices;
+        [at(a), at(b), at(c), at(d)]
     }
 
     /// The drawn position of a position at rest; `None` where nothing is drawn.

@@ -5,7 +5,9 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Mul, Sub};
 
 use super::dissection::{Dissection, Front};
+use crate::deform::kernel::{LaneWork, run_at};
 use crate::geometry::Vec2;
+use crate::level::SimdLevel;
 
 /// Columns of a front between two checks of cancellation: a millisecond or two of the largest.
 const COLUMNS_PER_LOOK: usize = 256;
@@ -193,6 +195,38 @@ impl<E: MatrixEntry> Factor<E> {
     where
         E: Acts<X>,
     {
+        let solution = Solution {
+            factor: self,
+            order,
+            x,
+            work,
+            cancelled,
+        };
+        run_at(SimdLevel::detect(), solution)
+    }
+}
+
+/// The arguments of [`Factor::solve`].
+struct Solution<'a, E, X> {
+    factor: &'a Factor<E>,
+    order: &'a Dissection,
+    x: &'a mut [X],
+    work: &'a mut SolveSpace<X>,
+    cancelled: &'a dyn Fn() -> bool,
+}
+
+impl<E: MatrixEntry + Acts<X>, X: Unknown> LaneWork for Solution<'_, E, X> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn run(self) -> Option<()> {
+        let Self {
+            factor,
+            order,
+            x,
+            work,
+            cancelled,
+        } = self;
         let ordered = &mut work.ordered;
         ordered.clear();
         ordered.resize(x.len(), X::default());
@@ -215,7 +249,7 @@ impl<E: MatrixEntry> Factor<E> {
             for j in 0..own {
                 look(j, cancelled)?;
                 let (head, tail) = local.split_at_mut(j + 1);
-                let column = &self.values[front.values + j * n + j + 1..][..n - j - 1];
+                let column = &factor.values[front.values + j * n + j + 1..][..n - j - 1];
                 let x = head[j];
                 for (to, entry) in tail.iter_mut().zip(column) {
                     *to = *to - entry.act(x);
@@ -229,7 +263,7 @@ impl<E: MatrixEntry> Factor<E> {
                 ordered[*place] += *value;
             }
         }
-        for (value, pivot) in ordered.iter_mut().zip(&self.diagonal) {
+        for (value, pivot) in ordered.iter_mut().zip(&factor.diagonal) {
             *value = *value * (1.0 / pivot);
         }
         for front in order.fronts.iter().rev() {
@@ -240,7 +274,7 @@ impl<E: MatrixEntry> Factor<E> {
             let (own, n) = (front.own.len(), front.len());
             for j in (0..own).rev() {
                 look(j, cancelled)?;
-                let column = &self.values[front.values + j * n + j + 1..][..n - j - 1];
+                let column = &factor.values[front.values + j * n + j + 1..][..n - j - 1];
                 local[j] = local[j] - dot(column, &local[j + 1..]);
             }
             ordered[front.own.clone()].copy_from_slice(&local[..own]);
@@ -253,6 +287,7 @@ impl<E: MatrixEntry> Factor<E> {
 }
 
 /// The values of a front; those that it reaches are 0 unless they are known.
+#[inline(always)]
 fn gather<'a, X: Unknown>(
     order: &Dissection,
     front: &Front,
@@ -279,6 +314,7 @@ pub(super) struct SolveSpace<X> {
 }
 
 /// `sum conj(column) x`, in four sums.
+#[inline(always)]
 fn dot<E: MatrixEntry + Acts<X>, X: Unknown>(column: &[E], x: &[X]) -> X {
     let mut sums = [X::default(); 4];
     let (columns, values) = (column.as_chunks::<4>(), x.as_chunks::<4>());

@@ -10,7 +10,9 @@
 
 use super::dissection::Dissection;
 use super::fronts::{Factor, MatrixEntry, SolveSpace, eliminate};
+use crate::deform::kernel::{LaneWork, run_at};
 use crate::geometry::Vec2;
+use crate::level::SimdLevel;
 
 /// Triangles of a quad that are summed at once.
 const TRIANGLES: usize = 4;
@@ -101,15 +103,14 @@ impl QuadShape {
             );
             let along = 1.0 + x;
             let n = (along * along + y * y).sqrt();
-            // (1 + u) / |1 + u| - 1 without cancellation.
-            let change = if along > 0.0 {
-                -y * y / (along + n)
-            } else {
-                along - n
-            };
+            // (1 + u) / |1 + u| - 1 without cancellation. Both sides of a choice are computed, so
+            // that the lanes are vectors.
+            let (little, much) = (-y * y / (along + n), along - n);
+            let change = if along > 0.0 { little } else { much };
+            let (cos, sin) = (3.0 * change / n, 3.0 * y / n);
             let is_defined = n >= UNDEFINED_SHARE;
-            re[lane] = if is_defined { 3.0 * change / n } else { 0.0 };
-            im[lane] = if is_defined { 3.0 * y / n } else { 0.0 };
+            re[lane] = if is_defined { cos } else { 0.0 };
+            im[lane] = if is_defined { sin } else { 0.0 };
             least[lane] = n;
         }
         let mut pull = [Vec2::ZERO; 4];
@@ -469,16 +470,11 @@ impl RigidPart {
         cancelled: &dyn Fn() -> bool,
     ) -> Option<(Vec<Vec2>, f64)> {
         let similar = self.similar(targets, space, cancelled)?;
-        let mut u = vec![Vec2::ZERO; similar.len()];
-        let mut least = 1.0_f64;
-        for (vertices, shape) in &self.mesh.quads {
-            let shape = &self.mesh.shapes[usize::from(*shape)];
-            let (pull, share) = shape.turn(vertices.map(|v| similar[v as usize]));
-            for (vertex, pull) in vertices.iter().zip(pull) {
-                u[*vertex as usize] += pull;
-            }
-            least = least.min(share);
-        }
+        let turned = Turned {
+            mesh: &self.mesh,
+            similar: &similar,
+        };
+        let (mut u, least) = run_at(SimdLevel::detect(), turned);
         self.congruent
             .factor
             .solve(&self.order, &mut u, &mut space.solve, cancelled)?;
@@ -490,5 +486,35 @@ impl RigidPart {
         self.congruent
             .pull(held, missing, &mut u, space, cancelled)?;
         Some((u, least))
+    }
+}
+
+/// What pulls the vertices towards the triangles that turn as in the first step, and the least
+/// share that one of them keeps of itself.
+struct Turned<'a> {
+    mesh: &'a QuadMesh,
+    similar: &'a [Vec2],
+}
+
+impl LaneWork for Turned<'_> {
+    type Output = (Vec<Vec2>, f64);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut u = vec![Vec2::ZERO; self.similar.len()];
+        let mut least = 1.0_f64;
+        for (vertices, shape) in &self.mesh.quads {
+            let shape = &self.mesh.shapes[usize::from(*shape)];
+            let mut corners = [Vec2::ZERO; 4];
+            for (corner, vertex) in corners.iter_mut().zip(vertices) {
+                *corner = self.similar[*vertex as usize];
+            }
+            let (pull, share) = shape.turn(corners);
+            for (vertex, pull) in vertices.iter().zip(pull) {
+                u[*vertex as usize] += pull;
+            }
+            least = least.min(share);
+        }
+        (u, least)
     }
 }
