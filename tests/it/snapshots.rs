@@ -151,6 +151,18 @@ async fn batches_beside_writers(store: &str) {
             "{store}: {}",
             file.status()
         );
+        // And the mask, which decides on a canvas that shows everything.
+        for path in ["points", "report"] {
+            let mut body = json!({"q": [[5, 5], [50, 47]], "output": {"canvas": "fit"}});
+            if path == "points" {
+                body["points"] = json!([[20, 20]]);
+            }
+            let path = format!("/sessions/{id}/{path}");
+            let answer = server.post(&path).json(&body).send().await.unwrap();
+            let status = answer.status().as_u16();
+            let text = answer.text().await.unwrap();
+            assert!([200, 503].contains(&status), "{store}: {path}: {text}");
+        }
     }
     over.store(true, Ordering::Relaxed);
     for writer in writers {

@@ -240,10 +240,11 @@ pub(crate) async fn of_session(
     };
     let (object, q) = ticket.run(parse).await??;
     drop(ticket);
-    let region = app
-        .images
-        .region_of(client, &record, object.output.canvas)
-        .await?;
+    let canvas = object.output.canvas;
+    let region = match app.images.region_of(client, &record, canvas).await {
+        Ok(region) => region,
+        Err(problem) => return Err(app.sessions.replaced(&record, problem).await),
+    };
     let ticket = app.admission.upload(key).await?;
     let folds = record.folds;
     let job = PointsJob {

@@ -114,7 +114,10 @@ pub(crate) async fn of_session(
     };
     let (q, alignment, output) = ticket.run(parse).await??;
     drop(ticket);
-    let region = app.images.region_of(client, &record, output.canvas).await?;
+    let region = match app.images.region_of(client, &record, output.canvas).await {
+        Ok(region) => region,
+        Err(problem) => return Err(app.sessions.replaced(&record, problem).await),
+    };
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
     let folds = record.folds.measured();

@@ -198,7 +198,10 @@ async fn grid_unless_handles(
         p,
         ..(*record.rest).clone()
     };
-    let content = app.plans.content_of(client, record).await?;
+    let content = match app.plans.content_of(client, record).await {
+        Ok(content) => content,
+        Err(problem) => return Err(app.sessions.replaced(record, problem).await),
+    };
     let ticket = app.admission.upload(QueueKey::client(client)).await?;
     let (plans, rest, extent) = (Arc::clone(&app.plans), spec.clone(), record.extent);
     let new = move |cancel: &Cancel| plans.new_setup(&rest, extent, content.as_ref(), cancel);

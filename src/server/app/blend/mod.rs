@@ -249,7 +249,10 @@ impl BlendJob {
                 DrawnContent::image(image.value, None)
             }
             BlendedSource::Session(record) => {
-                let sources = app.images.fetch(client, record, None).await?;
+                let sources = match app.images.fetch(client, record, None).await {
+                    Ok(sources) => sources,
+                    Err(problem) => return Err(app.sessions.replaced(record, problem).await),
+                };
                 app.images.decode(client, &ticket, sources).await?
             }
         };

@@ -98,6 +98,15 @@ impl Sessions {
         }
     }
 
+    /// The problem of a request that reads a session's files by one record alone: 503 in place of
+    /// `problem` if another request has replaced those files meanwhile.
+    pub(crate) async fn replaced(&self, record: &Record, problem: Problem) -> Problem {
+        match self.newer_record(record, problem).await {
+            Ok(_) => StoreError::Contended.into(),
+            Err(problem) => problem,
+        }
+    }
+
     /// Stores a session, counted for its client.
     pub(crate) async fn put(
         &self,
