@@ -24,7 +24,7 @@ const TURN_TIME: Duration = Duration::from_micros(100);
 const MANY_ADDRESSES: usize = 1024;
 
 thread_local! {
-    /// The poll in a turn that this thread makes: its beginning, and whether it has used its socket.
+    /// The poll that this thread makes in a turn: its beginning, and whether it used its socket.
     static POLL: Cell<Option<(Instant, bool)>> = const { Cell::new(None) };
 }
 
