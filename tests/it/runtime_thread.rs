@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use crate::support::clocked::ClockedServer;
 use crate::support::is_full;
 use crate::support::largest::{Material, Request, Sizes};
+use crate::support::redis::Redis;
 
 /// The most processor time of a poll of a task.
 const MAX_POLL_TIME: Duration = Duration::from_micros(200);
@@ -71,14 +72,16 @@ fn every_operation_has_its_largest_requests() {
     assert!(requests.len() > 60, "{}", requests.len());
 }
 
-#[test]
-fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
-    let server = ClockedServer::start(&["--max-warp-json-bytes", "1MiB"]);
-    let material = Material::prepare(server.address, SIZES);
+/// The requests whose polls take too long, of those that `is_sent` names.
+fn slow(
+    server: &ClockedServer,
+    material: &Material,
+    is_sent: impl Fn(&Request) -> bool,
+) -> Vec<String> {
     let mut slow = Vec::new();
-    for request in material.requests() {
+    for request in material.requests().into_iter().filter(is_sent) {
         let began = Instant::now();
-        let longest = longest_polls(&server, &material, &request);
+        let longest = longest_polls(server, material, &request);
         let (median, last) = (longest[longest.len() / 2], longest[longest.len() - 1]);
         let counted = if cfg!(debug_assertions) {
             longest[0]
@@ -96,9 +99,40 @@ fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
             slow.push(format!("{}: {counted:?}", request.what));
         }
     }
+    slow
+}
+
+fn assert_none(slow: &[String]) {
     assert!(
         slow.is_empty(),
         "the runtime's thread computes for longer than {:?}: {slow:#?}",
         DEBUG * MAX_POLL_TIME
     );
+}
+
+#[test]
+fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
+    let server = ClockedServer::start(&["--max-warp-json-bytes", "1MiB"]);
+    let material = Material::prepare(server.address, SIZES);
+    assert_none(&slow(&server, &material, |_| true));
+}
+
+/// Records that another process keeps are written, digested and read on other threads as well: by
+/// the server that has stored them, and by one that sees them for the first time.
+#[test]
+fn records_in_redis_are_read_and_written_on_other_threads() {
+    let redis = Redis::start(&[]);
+    let address = redis.address();
+    let options = ["--max-warp-json-bytes", "1MiB", "--store", &address];
+    let server = ClockedServer::start(&options);
+    let material = Material::prepare(server.address, SIZES);
+    let is_of = |names: &'static [&str]| {
+        move |request: &Request| names.iter().any(|name| request.what.starts_with(name))
+    };
+    let written = is_of(&["putHandles", "putLayer labels", "deleteLayer"]);
+    assert_none(&slow(&server, &material, written));
+    let other = ClockedServer::start(&options);
+    let read =
+        |request: &Request| is_of(&["getSession"])(request) && request.what.ends_with("(HEAD)");
+    assert_none(&slow(&other, &material, read));
 }

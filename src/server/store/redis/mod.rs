@@ -54,6 +54,8 @@ const READY_TIMEOUT: Duration = Duration::from_secs(1);
 const BACK_OFF: Duration = Duration::from_secs(1);
 /// Attempts to put a session that other processes replace at the same time.
 const PUT_ATTEMPTS: usize = 8;
+/// Bytes of a stored record that are read at once: a few microseconds.
+const MAX_READ_INLINE_BYTES: usize = 4 << 10;
 /// The memory for a fetched file, in files: itself, and a receive buffer that grows by doubling.
 const FILE_COPIES: u64 = 3;
 
@@ -113,6 +115,15 @@ impl RedisStore {
     }
 }
 
+/// Does what grows with a session on a blocking thread: records are read, written and digested
+/// there, not on the thread of the runtime.
+async fn aside<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, StoreError> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.map_err(|_| StoreError::Away)
+}
+
 impl RedisStoreState {
     async fn call<T: FromRedisValue>(&self, call: Call) -> Result<T, StoreError> {
         let call = &call;
@@ -155,8 +166,17 @@ impl RedisStoreState {
 
     /// Reads a stored record. `None`: it is damaged, which counts as no session.
     /// Errors: Another version of the program has written it.
-    fn readable(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
-        let why = match record::read(bytes) {
+    async fn readable(
+        &self,
+        id: SessionId,
+        bytes: Vec<u8>,
+    ) -> Result<Option<Arc<Record>>, StoreError> {
+        let read = if bytes.len() <= MAX_READ_INLINE_BYTES {
+            record::read(&bytes)
+        } else {
+            aside(move || record::read(&bytes)).await?
+        };
+        let why = match read {
             Ok(record) if record.id == id => return Ok(Some(record)),
             Ok(_) => Unreadable::Damaged("it is another session's"),
             Err(why) => why,
@@ -182,14 +202,17 @@ impl RedisStoreState {
     async fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Result<Put, StoreError> {
         // Another process may store the same session between the question and the transaction: then
         // its revision is another one, and everything begins again.
+        let idle = self.idle;
         for _ in 0..PUT_ATTEMPTS {
             // A file that is there is not sent, and an unreadable record is not replaced.
+            let asked = Arc::clone(&record);
+            let same = aside(move || script::same(&asked, idle)).await?;
             let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) =
-                self.call(script::same(&record, self.idle)).await?;
+                self.call(same).await?;
             let old = if status == status::ABSENT {
                 None
             } else {
-                self.readable(record.id, &bytes)?
+                self.readable(record.id, bytes).await?
             };
             if status == status::FOUND
                 && let Some(old) = old
@@ -202,9 +225,9 @@ impl RedisStoreState {
                 revision,
                 is_readable: old.is_some(),
             };
-            let (status, seq) = self
-                .send(&files, &script::put(&record, &files, &replaces, self.idle))
-                .await?;
+            let (stored, sent) = (Arc::clone(&record), files.clone());
+            let put = aside(move || script::put(&stored, &sent, &replaces, idle)).await?;
+            let (status, seq) = self.send(&files, &put).await?;
             match (status, old) {
                 // Not the revision that was looked at: look again.
                 (status::OTHER, _) => {}
@@ -249,15 +272,17 @@ impl RedisStoreState {
         new: Arc<Record>,
         layer: Option<NamedFile>,
     ) -> Result<Option<Session>, StoreError> {
-        let (status, seq): (i64, String) = match &layer {
+        let (idle, stored) = (self.idle, Arc::clone(&new));
+        let (status, seq): (i64, String) = match layer {
             Some(file) => {
-                self.send(
-                    layer.as_slice(),
-                    &script::revise_with(file, old, &new, self.idle),
-                )
-                .await?
+                let sent = file.clone();
+                let with = aside(move || script::revise_with(&sent, old, &stored, idle)).await?;
+                self.send(&[file], &with).await?
             }
-            None => self.call(script::revise(old, &new, self.idle)).await?,
+            None => {
+                let alone = aside(move || script::revise(old, &stored, idle)).await?;
+                self.call(alone).await?
+            }
         };
         match status {
             status::FOUND => {
@@ -333,9 +358,8 @@ impl RedisStoreState {
             }
             return Ok(self.session(Arc::clone(&cached.record), progress.seq, left));
         }
-        let record = self
-            .readable(id, &bytes)?
-            .ok_or(StoreError::NoSuchSession)?;
+        let record = self.readable(id, bytes).await?;
+        let record = record.ok_or(StoreError::NoSuchSession)?;
         // A number of this process counts only within the same life of the session: one that was
         // made again starts from 0.
         let here = cached
@@ -406,9 +430,7 @@ impl RedisStoreState {
                 .ok_or(StoreError::NoSuchSession)?,
         );
         let hashed = file.clone();
-        let found = tokio::task::spawn_blocking(move || Digest::of(&hashed))
-            .await
-            .map_err(|_| StoreError::Away)?;
+        let found = aside(move || Digest::of(&hashed)).await?;
         // A replaced session has another image's file, and so has one without that layer.
         if found == digest {
             Ok(file)
