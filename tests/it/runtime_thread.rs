@@ -88,7 +88,7 @@ fn slow(
         } else {
             median
         };
-        println!(
+        eprintln!(
             "{median:>9.1?}, at least {:>9.1?}, at most {last:>9.1?} of {} in {:.1?}: {}",
             longest[0],
             longest.len(),

@@ -256,6 +256,20 @@ async fn what_is_no_layer_is_refused_and_stores_nothing() {
     server.is_well().await;
 }
 
+/// Both would be one file of a batch on a system that does not tell them apart.
+#[tokio::test]
+async fn a_layer_whose_name_differs_in_letters_case_only_is_refused() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    let file = || grey(16, 12, 1);
+    assert_eq!(put(&server, &id, "Cells", file()).await.status(), 201);
+    for name in ["cells", "CELLS", "Region"] {
+        problem(put(&server, &id, name, file()).await, 422, "bad_value").await;
+        assert_eq!(stored(&server, &id, name).await, None);
+    }
+    assert_eq!(put(&server, &id, "Cells", file()).await.status(), 200);
+}
+
 #[tokio::test]
 async fn a_session_has_at_most_sixteen_layers() {
     let server = Server::start(&[]).await;
