@@ -21,7 +21,7 @@ mod subdivision;
 mod untangle;
 mod vec;
 
-pub use cell_tree::CellTree;
+pub use cell_tree::{CellKey, CellTree};
 pub use cut_cells::{CutCell, CutCells, CutMesh};
 pub use display_number::DisplayNumber;
 pub use distortion::{Distortion, Summary};

@@ -14,6 +14,8 @@ const SEGMENT_OPERATIONS: u64 = 64;
 const COEFFICIENTS_PER_OPERATION: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.
 pub(super) const EVALUATIONS_PER_INVERSE: u64 = 8;
+/// Operations for a box of the tree in which an inverse is sought, or for the patch in it.
+pub(super) const BOX_OPERATIONS: u64 = 4;
 /// Operations for measuring a cell of a posed grid.
 pub(super) const CELL_OPERATIONS: u64 = 40;
 

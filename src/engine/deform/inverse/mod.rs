@@ -5,16 +5,20 @@
 //! Newton's method with differences of f and shorter steps takes over. Cost: about five f per
 //! position.
 
+mod patch;
 #[cfg(test)]
 mod tests;
 
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use self::patch::in_patch;
 use super::lanes::LANES;
 use super::posed_map::PosedMap;
 use super::workspace::Workspace;
 use super::{IsCancelled, Pose, RestDeformation};
-use crate::geometry::{CellTree, Mesh, Point, Vec2};
+use crate::geometry::{CellKey, CellTree, Mesh, Point, Vec2};
 
 /// The largest distance of f from the position that was asked for, px.
 const SOLVED_DISTANCE_PX: f64 = 1e-7;
@@ -34,10 +38,14 @@ const CELL_MARGIN_PX: f64 = 1.0;
 const MOST_CELLS: usize = 32;
 /// Those of a cut grid have a few pixels.
 const MOST_SMALL_CELLS: usize = 128;
+/// Boxes of the tree that a search for one position looks at between two questions whether it is
+/// still wanted. All positions of a block may have nearly as many before the first f asks.
+const BOXES_PER_LOOK: u64 = 1 << 12;
+/// Boxes that a search for one position looks at without being counted: they are part of what f
+/// there costs.
+const FREE_BOXES: u64 = 512;
 /// Rounding errors of the boxes of cells, px.
 const PATCH_MARGIN_PX: f64 = 1e-3;
-/// Rounding errors at the border of a patch, as a share of its side.
-const PATCH_ERROR: f64 = 1e-9;
 /// Rounding errors at the border of the picture, px.
 const BORDER_ERROR_PX: f64 = 1e-6;
 
@@ -47,13 +55,16 @@ pub struct Inverse<'a> {
     /// None where the patches of the mesh are the map itself.
     f: Option<PosedMap<'a>>,
     mesh: &'a Mesh,
-    tree: CellTree,
+    /// Made for the first positions, as that can be cancelled.
+    tree: Mutex<Option<Arc<CellTree>>>,
     most_cells: usize,
     steps: AtomicU64,
+    boxes: AtomicU64,
 }
 
 /// What a thread that searches needs.
 struct InverseSearch<'a> {
+    tree: Arc<CellTree>,
     workspace: Workspace<LANES>,
     cancelled: IsCancelled<'a>,
 }
@@ -127,23 +138,25 @@ impl<'a> Inverse<'a> {
         Self {
             f: None,
             mesh,
-            tree: CellTree::new(mesh),
+            tree: Mutex::new(None),
             most_cells: if mesh.cut_mesh().is_some() {
                 MOST_SMALL_CELLS
             } else {
                 MOST_CELLS
             },
             steps: AtomicU64::new(0),
+            boxes: AtomicU64::new(0),
         }
     }
 
     /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture
     /// is posed. If several rest positions have the same posed one, that of the cell that is drawn.
-    /// `None` for all when cancelled, which is checked for each step of a search: one position may
-    /// have many.
+    /// `None` for all when cancelled, which is checked for each step of a search and for each
+    /// `BOXES_PER_LOOK` boxes of the tree: one position may have many.
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
         let mut search = InverseSearch {
+            tree: self.tree(cancelled)?,
             workspace: Workspace::new(self.f.as_ref().map_or(0, PosedMap::terms)),
             cancelled,
         };
@@ -160,6 +173,44 @@ impl<'a> Inverse<'a> {
         self.steps.load(Ordering::Relaxed)
     }
 
+    /// The boxes of the tree that have been looked at beyond `FREE_BOXES` for each position. Their
+    /// number has no bound below that of all cells: boxes may contain a position that none of their
+    /// cells contains, and the patches of all cells may be beside a position in all their boxes.
+    /// So whoever limits the work counts them, as [`Inverse::steps`] are counted; a limit for each
+    /// position instead would lose positions that are found.
+    #[must_use]
+    pub fn boxes(&self) -> u64 {
+        self.boxes.load(Ordering::Relaxed)
+    }
+
+    /// The tree; `None` when cancelled.
+    fn tree(&self, cancelled: IsCancelled<'_>) -> Option<Arc<CellTree>> {
+        let mut tree = self.tree.lock().unwrap_or_else(PoisonError::into_inner);
+        if tree.is_none() {
+            *tree = Some(Arc::new(CellTree::unless(self.mesh, cancelled)?));
+        }
+        tree.clone()
+    }
+
+    /// Calls a search in the tree with what it calls for each box; `None` when cancelled.
+    fn counting<T>(
+        &self,
+        cancelled: IsCancelled<'_>,
+        search: impl FnOnce(&mut dyn FnMut() -> ControlFlow<()>) -> ControlFlow<(), T>,
+    ) -> Option<T> {
+        let mut boxes = 0;
+        let found = search(&mut || {
+            boxes += 1;
+            if boxes % BOXES_PER_LOOK == 0 && cancelled() {
+                return ControlFlow::Break(());
+            }
+            ControlFlow::Continue(())
+        });
+        let counted = boxes.saturating_sub(FREE_BOXES);
+        self.boxes.fetch_add(counted, Ordering::Relaxed);
+        found.continue_value()
+    }
+
     /// f at up to [`LANES`] positions; `None` when cancelled.
     fn f(&self, x: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Point>> {
         self.steps.fetch_add(1, Ordering::Relaxed);
@@ -167,37 +218,52 @@ impl<'a> Inverse<'a> {
         Some(f.map_block(x, &mut search.workspace))
     }
 
-    /// The positions in the patches of the cells that are drawn last, where those are the map.
-    fn in_patches(&self, posed: &[Point]) -> Vec<Option<Point>> {
-        let mut cells = Vec::new();
-        let mut find = |y: &Point| {
-            self.tree.find(*y, PATCH_MARGIN_PX, &mut cells);
-            let found = cells.iter().filter_map(|cell| {
-                let [i, j] = self.column_and_row(*cell);
-                let corners = self.mesh.corners(i, j).next()?;
-                let [s, t] = in_patch(corners, *y)?;
-                let from = self.mesh.grid().vertex(i, j);
-                let to = self.mesh.grid().vertex(i + 1, j + 1);
-                let at = |a: f64, b: f64, share: f64| a + (b - a) * share;
-                let place = Point::new(at(from.x, to.x, s), at(from.y, to.y, t));
-                Some((self.mesh.rank(i, j, 0), *cell, place))
-            });
-            let drawn = found.max_by_key(|(rank, cell, _)| (*rank, *cell));
-            drawn.map(|(.., place)| place)
+    /// The positions in the patches of the cells that are drawn last, where those are the map;
+    /// `None` when cancelled.
+    fn in_patches(
+        &self,
+        posed: &[Point],
+        search: &InverseSearch<'_>,
+    ) -> Option<Vec<Option<Point>>> {
+        let find = |y: &Point| {
+            let mut drawn: Option<(CellKey, Point)> = None;
+            let mut try_cell = |(_, cell): CellKey| {
+                let [i, j] = self.column_and_row(cell);
+                let at = self.mesh.corners(i, j).next();
+                if let Some([s, t]) = at.and_then(|corners| in_patch(corners, *y)) {
+                    let from = self.mesh.grid().vertex(i, j);
+                    let to = self.mesh.grid().vertex(i + 1, j + 1);
+                    let at = |a: f64, b: f64, share: f64| a + (b - a) * share;
+                    let place = Point::new(at(from.x, to.x, s), at(from.y, to.y, t));
+                    let key = (self.mesh.rank(i, j, 0), cell);
+                    if drawn.is_none_or(|(last, _)| key > last) {
+                        drawn = Some((key, place));
+                    }
+                }
+                drawn.map_or(CellKey::default(), |(last, _)| last)
+            };
+            self.counting(search.cancelled, |mut look| {
+                let tree = &search.tree;
+                tree.visit_last(*y, PATCH_MARGIN_PX, &mut look, &mut try_cell)
+            })?;
+            Some(drawn.map(|(_, place)| place))
         };
-        posed.iter().map(&mut find).collect()
+        posed.iter().map(find).collect()
     }
 
     fn block(&self, posed: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Option<Point>>> {
         if self.f.is_none() {
-            return (!(search.cancelled)()).then(|| self.in_patches(posed));
+            return (!(search.cancelled)())
+                .then(|| self.in_patches(posed, search))
+                .flatten();
         }
-        let mut cells = Vec::new();
-        let starts: Vec<Vec<Start>> = posed
+        let starts: Option<Vec<Vec<Start>>> = posed
             .iter()
             .map(|y| {
-                self.tree.find(*y, CELL_MARGIN_PX, &mut cells);
-                cells.truncate(self.most_cells);
+                let cells = self.counting(search.cancelled, |mut look| {
+                    let (tree, most) = (&search.tree, self.most_cells);
+                    tree.find(*y, CELL_MARGIN_PX, most, &mut look)
+                })?;
                 let mut starts: Vec<Start> = cells
                     .iter()
                     .flat_map(|cell| self.starts(*cell, *y))
@@ -208,9 +274,10 @@ impl<'a> Inverse<'a> {
                     let rank = self.mesh.rank(i, j, start.quad);
                     (!start.is_inside, std::cmp::Reverse(rank))
                 });
-                starts
+                Some(starts)
             })
             .collect();
+        let starts = starts?;
         let mut found = vec![None; posed.len()];
         for attempt in 0.. {
             let at = |k: usize| starts[k].get(attempt).filter(|_| found[k].is_none());
@@ -395,23 +462,4 @@ impl<'a> Inverse<'a> {
         });
         (is_drawn && beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
     }
-}
-
-/// Where a position lies in a patch, as shares of its sides: a root of a quadratic.
-fn in_patch([a, b, d, c]: [Point; 4], y: Point) -> Option<[f64; 2]> {
-    let (h, e, f, twist) = (y - a, b - a, c - a, (d - b) - (c - a));
-    let [c0, c1, c2] = [h.cross(e), h.cross(twist) - f.cross(e), -f.cross(twist)];
-    // The sum of terms of one sign loses nothing.
-    let sum = -0.5 * (c1 + (c1 * c1 - 4.0 * c2 * c0).max(0.0).sqrt().copysign(c1));
-    let shares = [c0 / sum, sum / c2].map(|t| {
-        let across = e + twist * t;
-        [(h - f * t).dot(across) / across.norm2(), t]
-    });
-    let beyond = |[s, t]: &[f64; 2]| (s - 0.5).abs().max((t - 0.5).abs()) - 0.5;
-    // Beside a patch the quadratic may have no root.
-    let off = |[s, t]: &[f64; 2]| (h - e * *s - f * *t - twist * (s * t)).norm();
-    let is_inside = |at: &[f64; 2]| beyond(at) <= PATCH_ERROR && off(at) <= BORDER_ERROR_PX;
-    let inside = shares.into_iter().filter(is_inside);
-    let nearest = inside.min_by(|one, other| beyond(one).total_cmp(&beyond(other)))?;
-    Some(nearest.map(|share| share.clamp(0.0, 1.0)))
 }

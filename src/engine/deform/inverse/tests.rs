@@ -191,3 +191,52 @@ fn a_position_beside_a_patch_without_a_root_is_not_in_it() {
         );
     }
 }
+
+/// Cancelled in the middle: the step that asked is the last one.
+#[test]
+fn nothing_follows_a_step_at_which_an_inverse_is_cancelled() {
+    let (field, pose) = set(Method::Rigid, 1.0, 9, 12, 240.0);
+    let mesh = mesh(&field, &pose, 5.0);
+    let posed: Vec<Point> = (0..400_u32)
+        .map(|k| Point::new(f64::from(k % 20) * 15.0, f64::from(k / 20) * 10.0))
+        .collect();
+    let (all, looks) = (Inverse::new(&field, &pose, &mesh), AtomicU64::new(0));
+    let count = || looks.fetch_add(1, Ordering::Relaxed) + 1;
+    let _ = all.map(&posed, &|| count() == 0).unwrap();
+    let of_all = looks.swap(0, Ordering::Relaxed);
+    assert!(all.steps() > 100, "{}", all.steps());
+    // The first looks are those of the tree.
+    let before = of_all - all.steps();
+    for last in [before + 1, before + 2, of_all / 2, of_all - 1] {
+        looks.store(0, Ordering::Relaxed);
+        let inverse = Inverse::new(&field, &pose, &mesh);
+        let cancelled = || count() >= last;
+        assert_eq!(inverse.map(&posed, &cancelled), None);
+        assert_eq!(looks.load(Ordering::Relaxed), last);
+        assert_eq!(inverse.steps(), last - before);
+    }
+}
+
+/// The patches of a mesh whose cells all lie on one line are beside the position, and their boxes
+/// are not: every cell is tried, in vain.
+#[test]
+fn a_search_that_tries_every_cell_is_counted_and_can_be_cancelled() {
+    let grid = Grid::with_counts(300.0, 300.0, 301, 301);
+    let to_line = |k: usize| {
+        let [i, j] = [k % 301, k / 301].map(|line| u16::try_from(line).unwrap());
+        let share = f32::from((i + j) % 2) * 100.0;
+        [share - f32::from(i), share - f32::from(j)]
+    };
+    let mesh = Mesh::new(grid, (0..grid.len()).map(to_line).collect());
+    let posed = [Point::new(20.0, 80.0); 40];
+    let (all, looks) = (Inverse::of_mesh(&mesh), AtomicU64::new(0));
+    let count = || looks.fetch_add(1, Ordering::Relaxed) + 1;
+    assert_eq!(all.map(&posed, &|| count() == 0).unwrap(), [None; 40]);
+    let of_all = looks.swap(0, Ordering::Relaxed);
+    assert!(all.boxes() > 40 * 90_000, "{}", all.boxes());
+    assert!(of_all >= 40 * 90_000 / BOXES_PER_LOOK, "{of_all}");
+    let (cut, last) = (Inverse::of_mesh(&mesh), of_all / 2);
+    assert_eq!(cut.map(&posed, &|| count() >= last), None);
+    assert_eq!(looks.load(Ordering::Relaxed), last);
+    assert!(cut.boxes() < all.boxes(), "{}", cut.boxes());
+}

@@ -186,7 +186,8 @@ impl<'a> Transform<'a> {
                 let taken = inverse
                     .steps()
                     .saturating_mul(LANES as u64)
-                    .saturating_mul(self.per_position);
+                    .saturating_mul(self.per_position)
+                    .saturating_add(inverse.boxes().saturating_mul(work::BOX_OPERATIONS));
                 work::at_most(Task::Positions, self.max_work, taken)?;
                 inverse.map(places, cancelled)
             }

@@ -1,6 +1,7 @@
 use super::outlines::to_segment;
 use super::*;
 use crate::deform::Handle;
+use crate::geometry::Grid;
 use crate::pixmap::Extent;
 use crate::warp::{Folds, GridSpec, Limits, PosedMesh, Quantity, RestSpec};
 
@@ -305,4 +306,45 @@ fn work_is_bounded_and_positions_are_checked() {
         setup.transform(&pose).map(&near, &|| true),
         Err(WarpError::Cancelled)
     );
+}
+
+/// The patches of a mesh whose cells all lie on one line are beside the position, and their boxes
+/// are not: no estimate knows, so what a search looks at is counted.
+#[test]
+fn an_inverse_that_tries_every_cell_is_refused_in_the_middle() {
+    let (setup, _) = set(1.0);
+    let grid = Grid::with_counts(300.0, 200.0, 301, 201);
+    let to_line = |k: usize| {
+        let [i, j] = [k % 301, k / 301].map(|line| u16::try_from(line).unwrap());
+        let share = f32::from((i + j) % 2) * 100.0;
+        [share - f32::from(i), share - f32::from(j)]
+    };
+    let mesh = Mesh::new(grid, (0..grid.len()).map(to_line).collect());
+    let places = [Point::new(20.0, 80.0); 20 * PLACES_PER_TASK];
+    let inverse = Transform {
+        max_work: 2_000_000,
+        ..Transform::new(PositionMap::Inverse(Inverse::of_mesh(&mesh)), &setup)
+    };
+    inverse.check_positions(places.len()).unwrap();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(2)
+        .build()
+        .unwrap();
+    let error = pool.install(|| inverse.map(&places, NEVER)).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            WarpError::TooMuchWork {
+                task: Task::Positions,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let PositionMap::Inverse(inverse) = &inverse.map else {
+        unreachable!()
+    };
+    // Tasks that had begun end.
+    let boxes = inverse.boxes();
+    assert!(boxes < 8 * PLACES_PER_TASK as u64 * 90_000, "{boxes}");
 }
