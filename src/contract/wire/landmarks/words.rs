@@ -9,13 +9,18 @@ use crate::problem::words::quote;
 const LONGEST_LINE: usize = 1 << 20;
 
 /// The next line of a text, and its bytes with its end: LF, CR or both.
-/// Errors: A line that is too long.
+/// Errors: A line that is too long; cancelled.
 pub(super) fn line_at<'t>(source: SourceText<'t>, at: usize) -> Result<(&'t str, usize), Bad> {
     let rest = &source.text.as_bytes()[at..];
     let longest = &rest[..rest.len().min(LONGEST_LINE + 1)];
     let length = source
         .work
         .find(longest, |byte| matches!(byte, b'\n' | b'\r'));
+    // Lines that say nothing would be read to the end of the file: an error ends every reader, and
+    // `LandmarkFiles` says what it means.
+    if source.work.is_stopped() {
+        return Err(Bad::new(at, "nobody wants the result"));
+    }
     if length > LONGEST_LINE {
         let detail = format!("expected a line of at most {LONGEST_LINE} bytes; found a longer one");
         return Err(Bad::new(at, detail));
