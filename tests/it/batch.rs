@@ -924,7 +924,7 @@ async fn requests_are_served_while_the_frames_of_a_batch_are_surveyed() {
 /// it, and the file has no directory.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_frame_that_fails_ends_the_file_without_its_directory() {
-    let server = Server::start(&["--workers", "2", "--request-timeout", "2s"]).await;
+    let server = Server::start(&["--workers", "2", "--request-timeout", "5s"]).await;
     let id = server
         .session(&photo(LARGE.0, LARGE.1), &json!({"p": [[20, 20]]}))
         .await;

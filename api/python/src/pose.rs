@@ -162,6 +162,7 @@ impl Pose {
                 u64::MAX,
                 (extent, units),
                 &output,
+                &|| cancel.is_cancelled(),
                 |_| Ok(()),
             )?;
             let annotations = object.into_parts().0.annotations;

@@ -82,6 +82,7 @@ pub use socket::UnreadHandles;
 pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use token::{MAX_TOKEN_TTL, TokenOp, TokenRequest};
 pub use warning::WarningEntry;
+use work::Work;
 pub use write::serialize_own;
 
 const HANDLES: &str = "an array of handles";
@@ -313,8 +314,8 @@ pub struct PointsObject {
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`. `most_bytes`: the most
     /// bytes of everything but annotations.
-    fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
-        let root = json::root(body)?;
+    fn parse(body: &Bytes, most_bytes: u64, work: &Work<'_>) -> Result<Self, Problem> {
+        let root = json::long_root(body, work)?;
         let [
             warp @ ..,
             extent,
@@ -351,8 +352,9 @@ impl PointsObject {
         most_bytes: u64,
         (extent, units): (Extent, Units),
         output: &OutputSpec,
+        work: &Work<'_>,
     ) -> Result<Self, Problem> {
-        let root = json::root(body)?;
+        let root = json::long_root(body, work)?;
         let [q, strength, output_, mapped @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
         let mapped = AnnotationFields::from(mapped);
         require_length(

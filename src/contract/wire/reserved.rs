@@ -5,12 +5,14 @@
 use std::ops::{Deref, DerefMut};
 
 use bytes::Bytes;
+use mlswarp::deform::IsCancelled;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{OutputSpec, Units};
 
 use super::blend::BlendObject;
 use super::json::{At, Kind, Node};
 use super::landmarks::{LandmarkFiles, Landmarks, Target};
+use super::work::Work;
 use super::{DragObject, FitObject, MapObject, PointsObject, ReportObject, WarpObject};
 use super::{WarpPatch, fields};
 use crate::problem::Problem;
@@ -90,9 +92,12 @@ const QUOTE_BYTES: usize = 40;
 
 /// Upper bound of the memory in which a value is read, bytes. Annotations and the frames of a batch
 /// stay text.
-pub(super) fn reading_bytes(json: &[u8]) -> u64 {
+pub(super) fn reading_bytes(json: &[u8], work: Option<&Work<'_>>) -> u64 {
     let text = std::str::from_utf8(json).unwrap_or_default().trim();
-    let node = Node::new(text, At::Root);
+    let node = Node {
+        work,
+        ..Node::new(text, At::Root)
+    };
     if node.kind() != Kind::Object {
         return value_bytes(text);
     }
@@ -128,7 +133,7 @@ macro_rules! parsers {
                     $($parameter: $kind,)?
                     reserve: impl FnOnce(u64) -> Result<H, Problem>,
                 ) -> Result<Self, Problem> {
-                    Self::read(reading_bytes(json), reserve,
+                    Self::read(reading_bytes(json, None), reserve,
                         || $object::$parse(json $(, $parameter)?))
                 }
             )+
@@ -147,15 +152,19 @@ parsers! {
 
 impl<H> Reserved<PointsObject, H> {
     /// Reads the object of `/points`; annotations stay text. `most_bytes`: the most bytes of
-    /// everything else.
+    /// everything else. Errors: the object is not as the contract says; cancelled.
     pub fn parse(
         body: &Bytes,
         most_bytes: u64,
+        cancelled: IsCancelled<'_>,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(reading_bytes(body), reserve, || {
-            PointsObject::parse(body, most_bytes)
-        })
+        let work = Work::new(cancelled);
+        work.believe(Self::read(
+            reading_bytes(body, Some(&work)),
+            reserve,
+            || PointsObject::parse(body, most_bytes, &work),
+        ))
     }
 
     /// Reads the object of `/sessions/{id}/points`. `source` and `output`: those of the session.
@@ -164,11 +173,15 @@ impl<H> Reserved<PointsObject, H> {
         most_bytes: u64,
         source: (Extent, Units),
         output: &OutputSpec,
+        cancelled: IsCancelled<'_>,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(reading_bytes(body), reserve, || {
-            PointsObject::parse_posed(body, most_bytes, source, output)
-        })
+        let work = Work::new(cancelled);
+        work.believe(Self::read(
+            reading_bytes(body, Some(&work)),
+            reserve,
+            || PointsObject::parse_posed(body, most_bytes, source, output, &work),
+        ))
     }
 }
 
@@ -178,7 +191,9 @@ impl<H> Reserved<WarpPatch, H> {
         json: &[u8],
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(reading_bytes(json), reserve, || WarpPatch::parse(json))
+        Self::read(reading_bytes(json, None), reserve, || {
+            WarpPatch::parse(json)
+        })
     }
 }
 
@@ -192,7 +207,7 @@ impl<H> Reserved<BlendObject, H> {
         // Each name has two quotation marks.
         let quotes = json.iter().filter(|byte| **byte == b'"').count();
         let names = (json.len() + QUOTE_BYTES * quotes) as u64;
-        Self::read(reading_bytes(json) + names, reserve, || {
+        Self::read(reading_bytes(json, None) + names, reserve, || {
             BlendObject::parse(json)
         })
     }

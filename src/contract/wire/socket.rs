@@ -73,7 +73,7 @@ impl<H> Reserved<Vec<Handle>, H> {
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
         let most = match q {
-            UnreadHandles::Json { text, .. } => reading_bytes(text.as_bytes()),
+            UnreadHandles::Json { text, .. } => reading_bytes(text.as_bytes(), None),
             UnreadHandles::OfSession { .. } => session.map_or(0, |pose| handles_bytes(&pose.q)),
             UnreadHandles::Binary(bytes) => HANDLE_BYTES * bytes.len() as u64,
         };

@@ -4,7 +4,10 @@
 use std::cell::Cell;
 use std::io::{self, BufReader, Read};
 
+use mlswarp::warp::WarpError;
 use serde::de::IgnoredAny;
+
+use crate::problem::Problem;
 
 /// Bytes between two questions whether the result is wanted: a few microseconds.
 pub(crate) const BYTES_PER_CHECK: usize = 4096;
@@ -47,6 +50,14 @@ impl<'c> Work<'c> {
     /// Whether scans have ended early.
     pub(crate) fn is_stopped(&self) -> bool {
         self.is_stopped.get()
+    }
+
+    /// What was read, unless scans have ended early: then it means nothing.
+    pub(crate) fn believe<T>(&self, read: Result<T, Problem>) -> Result<T, Problem> {
+        if self.is_stopped() {
+            return Err(WarpError::Cancelled.into());
+        }
+        read
     }
 
     /// Adds bytes, and asks whether the result is wanted if enough have passed. False: stop here.

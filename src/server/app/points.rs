@@ -165,7 +165,10 @@ pub(crate) async fn once(
         app.config().max_warp_json_bytes,
     );
     let reserve = app.admission.reserving(MemoryClass::Upload, client);
-    let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
+    let parse = move |cancel: &Cancel| {
+        let is_cancelled = || cancel.is_cancelled();
+        Reserved::<PointsObject, _>::parse(&json, most_bytes, &is_cancelled, reserve)
+    };
     let mut object = ticket.run(parse).await??;
     let warp = part(&mut object, |object| object.warp.take());
     let warp = warp.try_map(|warp| {
@@ -223,7 +226,7 @@ pub(crate) async fn of_session(
         app.admission
             .reserving_pose(MemoryClass::Upload, client, &record),
     );
-    let parse = move |_: &_| {
+    let parse = move |cancel: &Cancel| {
         let (rest, size) = (&of_session.rest, of_session.extent);
         let source = (size, rest.units);
         let mut object = Reserved::<PointsObject, _>::parse_posed(
@@ -231,6 +234,7 @@ pub(crate) async fn of_session(
             most_bytes,
             source,
             &of_session.output,
+            &|| cancel.is_cancelled(),
             reserve,
         )?;
         let Pose { q, strength } =

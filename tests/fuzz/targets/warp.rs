@@ -133,6 +133,7 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
         1 << 20,
         1 << 16,
         source,
+        &|| false,
         free,
     ))?;
     let count = object.poses.count();
@@ -289,6 +290,7 @@ fn points(json: &[u8]) -> Result<PointsObject, Problem> {
     value(Reserved::<PointsObject, _>::parse(
         &Bytes::copy_from_slice(json),
         1 << 20,
+        &|| false,
         free,
     ))
 }
@@ -301,6 +303,7 @@ fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
         1 << 20,
         of_session,
         &output,
+        &|| false,
         free,
     ))
 }

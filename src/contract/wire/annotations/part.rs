@@ -7,6 +7,7 @@ use mlswarp::deform::IsCancelled;
 use mlswarp::warp::{MappedOutline, Outline, Transform, WarpError};
 
 use super::super::json::{At, Node, next_value};
+use super::super::work::Work;
 use super::geojson::{GeoJsonShape, read_collection};
 use super::reader::{Line, PartContents, Reader};
 use super::write::{
@@ -110,7 +111,7 @@ impl Annotations {
                     kind.items.start
                 }
             };
-            let part = kind.part(at);
+            let part = kind.part(at, &mapping)?;
             if part.is_empty() {
                 kind.end(at, &cursor.tail, out);
                 (cursor.kind, cursor.next) = (cursor.kind + 1, None);
@@ -131,8 +132,11 @@ impl Annotations {
 }
 
 impl Annotation {
-    fn node<'a>(&'a self, text: &'a str) -> Node<'a, 'static> {
-        Node::new(text, At::Field(&At::Root, self.name()))
+    fn node<'a>(&'a self, text: &'a str, work: &'a Work<'a>) -> Node<'a, 'a> {
+        Node {
+            work: Some(work),
+            ..Node::new(text, At::Field(&At::Root, self.name()))
+        }
     }
 
     fn str(&self, range: Range<usize>) -> &str {
@@ -141,12 +145,16 @@ impl Annotation {
     }
 
     /// Where the next annotations are, with the text before them; empty after the last one.
-    fn part(&self, from: usize) -> Range<usize> {
+    /// Errors: Cancelled; a single annotation may be long.
+    fn part(&self, from: usize, mapping: &Mapping<'_>) -> Result<Range<usize>, Problem> {
         let (text, mut end) = (&self.text[..self.items.end], from);
-        while let Some(item) = next_value(text, end).filter(|_| end - from < PART_BYTES) {
+        let work = Work::new(mapping.cancelled);
+        while end - from < PART_BYTES
+            && let Some(item) = next_value(text, end, Some(&work))
+        {
             end = item.end;
         }
-        from..end
+        work.believe(Ok(from..end))
     }
 
     /// The memory for the text around the annotations.
@@ -163,8 +171,8 @@ impl Annotation {
         match (self.kind, self.shape) {
             (AnnotationKind::GeoJson, GeoJsonShape::FeatureCollection) => {
                 let text = self.str(0..self.text.len());
-                let mut reader = Reader::keeping();
-                read_collection(&self.node(text), &mut reader)?;
+                let (mut reader, work) = (Reader::keeping(), Work::new(mapping.cancelled));
+                work.believe(read_collection(&self.node(text, &work), &mut reader))?;
                 let kept = reader.kept.unwrap_or_default();
                 let mapped = self.map_lines(&kept, mapping)?;
                 Ok(write_head(text, self.items.clone(), &kept, &mapped, out))
@@ -203,9 +211,9 @@ impl Annotation {
     ) -> Result<(), Problem> {
         let (text, is_first) = (self.str(part.clone()), part.start == self.items.start);
         reserve(reading_bytes(text.as_bytes()))?;
-        let mut reader = Reader::keeping();
+        let (mut reader, work) = (Reader::keeping(), Work::new(mapping.cancelled));
         for item in items(text) {
-            self.kind.read_item(&self.node(item), &mut reader)?;
+            work.believe(self.kind.read_item(&self.node(item, &work), &mut reader))?;
         }
         let kept = reader.kept.unwrap_or_default();
         if self.kind == AnnotationKind::Points {

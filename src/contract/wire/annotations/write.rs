@@ -112,7 +112,7 @@ impl Bounds {
 pub(super) fn items(text: &str) -> impl Iterator<Item = &str> {
     let mut at = 0;
     std::iter::from_fn(move || {
-        let item = next_value(text.as_bytes(), at)?;
+        let item = next_value(text.as_bytes(), at, None)?;
         at = item.end;
         text.get(item)
     })
@@ -364,12 +364,12 @@ fn offset(text: &str, part: &str) -> usize {
 /// The member of an object whose value begins at a byte, up to the next member.
 fn pair_of(text: &str, value: usize) -> Range<usize> {
     let (bytes, mut at) = (text.as_bytes(), 1);
-    while let Some(name) = next_value(bytes, at) {
-        let Some(found) = next_value(bytes, name.end) else {
+    while let Some(name) = next_value(bytes, at, None) {
+        let Some(found) = next_value(bytes, name.end, None) else {
             break;
         };
         if found.start == value {
-            let next = next_value(bytes, found.end).map_or(found.end, |next| next.start);
+            let next = next_value(bytes, found.end, None).map_or(found.end, |next| next.start);
             return name.start..next;
         }
         at = found.end;

@@ -33,7 +33,9 @@ impl FrameTexts {
         let text = place
             .and_then(|place| self.body.get(place.clone()))
             .unwrap_or_default();
-        Reserved::read(reading_bytes(text), reserve, || read_frame(frame, text))
+        Reserved::read(reading_bytes(text, None), reserve, || {
+            read_frame(frame, text)
+        })
     }
 
     /// The number of frames.

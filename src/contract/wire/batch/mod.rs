@@ -8,6 +8,7 @@ mod index;
 mod tests;
 
 use bytes::Bytes;
+use mlswarp::deform::IsCancelled;
 use mlswarp::warp::{CoordinateFrame, Easing, Jitter};
 
 use super::annotations::Annotations;
@@ -17,6 +18,7 @@ use super::handles::handles_bytes;
 use super::json::{Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
+use super::work::Work;
 use super::{PosePatch, Reserved, fields, json, layer, reading_bytes, require_length, text_bytes};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
@@ -117,9 +119,22 @@ impl<H> Reserved<BatchObject, H> {
         most_bytes: u64,
         most_frame_bytes: u64,
         source: CoordinateFrame,
+        cancelled: IsCancelled<'_>,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        let root = json::root(body)?;
+        let work = Work::new(cancelled);
+        let most = (most_bytes, most_frame_bytes);
+        work.believe(Self::parse_counted(body, most, source, &work, reserve))
+    }
+
+    fn parse_counted(
+        body: &Bytes,
+        (most_bytes, most_frame_bytes): (u64, u64),
+        source: CoordinateFrame,
+        work: &Work<'_>,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
+        let root = json::long_root(body, work)?;
         let fields = BatchFields::from(root.fields(&fields::BATCH)?);
         let rest =
             body.len() - text_bytes([fields.frames]) - text_bytes(fields.mapped().annotations());
@@ -130,7 +145,8 @@ impl<H> Reserved<BatchObject, H> {
         } else {
             0
         };
-        Self::read(reading_bytes(body) + places, reserve, || {
+        let most = reading_bytes(body, Some(work)) + places;
+        Self::read(most, reserve, || {
             BatchObject::read(body, &root, fields, most_frame_bytes, source)
         })
     }

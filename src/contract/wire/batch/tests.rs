@@ -14,7 +14,7 @@ fn free(_: u64) -> Result<(), Problem> {
 fn parse(text: &str) -> Result<BatchObject, Problem> {
     let source = CoordinateFrame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
     let body = Bytes::copy_from_slice(text.as_bytes());
-    Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, free)
+    Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, &|| false, free)
         .map(|read| read.into_parts().0)
 }
 

@@ -23,6 +23,9 @@ use crate::problem::{Code, Problem};
 use scan::next;
 pub(crate) use scan::next_value;
 
+/// A text of so many bytes is read in less time than there is between two questions whether
+/// anybody wants the result.
+const SHORT_BYTES: usize = 256 << 10;
 /// Members of an object of another kind that are looked at.
 const MOST_MEMBERS: usize = 64;
 
@@ -95,6 +98,24 @@ struct Name<'j>(#[serde(borrow)] Cow<'j, str>);
 
 /// Checks that the text is one JSON object and nothing else.
 pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
+    root_by(body, value)
+}
+
+/// As [`root`], for a text that may be long: the work is counted, and may be cancelled.
+pub(crate) fn long_root<'j, 'w>(
+    body: &'j [u8],
+    work: &'w Work<'w>,
+) -> Result<Node<'j, 'w>, Problem> {
+    if body.len() <= SHORT_BYTES {
+        return root(body);
+    }
+    root_by(body, |text| long_value(text, work))
+}
+
+fn root_by<'j, 'w>(
+    body: &'j [u8],
+    read: impl FnOnce(&'j str) -> Result<Node<'j, 'w>, serde_json::Error>,
+) -> Result<Node<'j, 'w>, Problem> {
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail);
     let not_json = |e: &dyn fmt::Display| malformed(format!("not JSON: {e}"));
     if let Some(what) = syntax::not_text(body) {
@@ -106,7 +127,7 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
             e.valid_up_to()
         ))
     })?;
-    let node = value(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
+    let node = read(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
     match node.kind() {
         Kind::Object => Ok(node),
         other => {

@@ -8,19 +8,19 @@ use crate::wire::work::{BYTES_PER_CHECK, Work};
 /// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its
 /// end, or when the work is cancelled.
 pub(super) fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
-    let range = value_from(rest.as_bytes(), 0, work)?;
+    let range = next_value(rest.as_bytes(), 0, work)?;
     let (value, after) = (rest.get(range.clone())?, rest.get(range.end..)?);
     *rest = after;
     Some(value)
 }
 
 /// Where the next value or field name is in the inside of a well-formed array or object, from a
-/// byte between two of them on; `None` at its end.
-pub(crate) fn next_value(text: &[u8], from: usize) -> Option<Range<usize>> {
-    value_from(text, from, None)
-}
-
-fn value_from(text: &[u8], from: usize, work: Option<&Work<'_>>) -> Option<Range<usize>> {
+/// byte between two of them on; `None` at its end, or when the work is cancelled.
+pub(crate) fn next_value(
+    text: &[u8],
+    from: usize,
+    work: Option<&Work<'_>>,
+) -> Option<Range<usize>> {
     let bytes = text.get(from..)?;
     let is_between = |b: &u8| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':');
     let start = match work {

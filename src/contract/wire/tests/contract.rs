@@ -354,8 +354,8 @@ fn schemas_and_parsers_agree_on_a_table() {
     type Parse = fn(&[u8]) -> bool;
     let batch = |b: &[u8]| {
         let source = CoordinateFrame::of_source(Extent::new(400, 300).unwrap(), Units::Px);
-        Reserved::<BatchObject, _>::parse(&super::bytes(b), 1 << 20, 1 << 16, source, |_| Ok(()))
-            .is_ok()
+        let (body, free) = (super::bytes(b), |_| Ok(()));
+        Reserved::<BatchObject, _>::parse(&body, 1 << 20, 1 << 16, source, &|| false, free).is_ok()
     };
     let parsers: [(&str, Parse, &str); 11] = [
         ("Batch", batch, "\"q\": [], \"steps\": 2"),

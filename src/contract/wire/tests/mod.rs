@@ -47,7 +47,7 @@ fn bytes(json: &[u8]) -> Bytes {
 
 /// The object of `/points`.
 fn points(json: &[u8]) -> Result<PointsObject, Problem> {
-    PointsObject::parse(&bytes(json), 1 << 20)
+    PointsObject::parse(&bytes(json), 1 << 20, &Work::new(&|| false))
 }
 
 /// The object of `/sessions/{id}/points`.
@@ -58,6 +58,7 @@ fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
         1 << 20,
         (extent, Units::Px),
         &OutputSpec::default(),
+        &Work::new(&|| false),
     )
 }
 

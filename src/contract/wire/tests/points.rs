@@ -128,18 +128,55 @@ fn points_read_their_fields() {
 fn annotations_have_no_part_in_the_limit_of_the_warp_object() {
     let places = "[1, 2],".repeat(1000) + "[1, 2]";
     let text = |name: &str| format!("{{\"extent\": [9, 9], \"{name}\": [{places}]}}");
-    let parse = |text: &str| PointsObject::parse(&bytes(text.as_bytes()), 1000);
+    let parse =
+        |text: &str| PointsObject::parse(&bytes(text.as_bytes()), 1000, &Work::new(&|| false));
     assert_eq!(parse(&text("points")).unwrap().annotations.kinds.len(), 1);
     let refused = parse(&text("p")).unwrap_err();
     assert_eq!(
         (refused.code, refused.what),
         (Code::TooLarge, Some("json_bytes"))
     );
-    let of_points = reading_bytes(text("points").as_bytes());
+    let of_points = reading_bytes(text("points").as_bytes(), None);
     assert!(
-        of_points < 1000 && reading_bytes(text("p").as_bytes()) >= 48 * 1000,
+        of_points < 1000 && reading_bytes(text("p").as_bytes(), None) >= 48 * 1000,
         "{of_points}"
     );
+}
+
+/// Long annotations are read in pieces, none of which is read after nobody wants the result.
+#[test]
+fn reading_long_annotations_stops_soon_after_nobody_wants_them() {
+    let nested = |depth: usize, inside: &str| {
+        let opening = r#"{"type": "GeometryCollection", "geometries": ["#.repeat(depth);
+        format!("{opening}{inside}{}", "]}".repeat(depth))
+    };
+    let places = "[1, 2], ".repeat(60_000) + "[1, 2]";
+    let line = format!(r#"{{"type": "LineString", "coordinates": [{places}]}}"#);
+    let foreign = format!(r#"{{"type": "Point", "coordinates": [1, 2], "x": [{places}]}}"#);
+    for annotations in [
+        format!(r#""points": [{places}]"#),
+        format!(r#""polygons": [[{places}]]"#),
+        format!(r#""geojson": {}"#, nested(16, &line)),
+        format!(r#""geojson": {}"#, nested(16, &foreign)),
+    ] {
+        let body = bytes(format!(r#"{{"extent": [9, 9], {annotations}}}"#).as_bytes());
+        let questions = std::cell::Cell::new(0);
+        let count = || questions.replace(questions.get() + 1) == usize::MAX;
+        let whole = Work::new(&count);
+        PointsObject::parse(&body, 1000, &whole).unwrap();
+        assert!(whole.bytes() >= body.len(), "{}", whole.bytes());
+        for part in 0..8 {
+            let (last, asked) = (questions.get() * part / 8, std::cell::Cell::new(0));
+            let is_cancelled = || asked.replace(asked.get() + 1) >= last;
+            let work = Work::new(&is_cancelled);
+            let _ = PointsObject::parse(&body, 1000, &work);
+            let until = whole.bytes() * (part + 1) / 8 + (64 << 10);
+            assert!(work.bytes() <= until, "{} bytes of {until}", work.bytes());
+            let cancelled = || true;
+            let read = Reserved::<PointsObject, _>::parse(&body, 1000, &cancelled, |_| Ok(()));
+            assert_eq!(read.unwrap_err().code, Code::Overloaded);
+        }
+    }
 }
 
 #[test]

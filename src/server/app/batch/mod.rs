@@ -89,8 +89,17 @@ pub(crate) async fn of_session(
     );
     let source = PictureFrame::of_source(record.extent, record.rest.units);
     let reserve = app.admission.reserving(MemoryClass::Upload, client);
-    let parse =
-        move |_: &_| Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, source, reserve);
+    let parse = move |cancel: &Cancel| {
+        let is_cancelled = || cancel.is_cancelled();
+        Reserved::<BatchObject, _>::parse(
+            &json,
+            most,
+            most_of_frame,
+            source,
+            &is_cancelled,
+            reserve,
+        )
+    };
     let mut object = ticket.run(parse).await??;
     drop(ticket);
     check_form(&object, form)?;
