@@ -31,6 +31,7 @@ const GROWING: &[(&str, &str, &str)] = &[
     ("", "Pt,true,0,0,Infinity,0\n", ""),
     ("version: 1\n{\n", "1 2\n", "}\n"),
     ("version: 1\n", "version: 1\n", "{\n1 2\n}\n"),
+    ("3\n1 2\n3 4\n", "# a\n", "5 6\n"),
     ("", "LM=0\n", "LM=1\n1 2\n"),
     ("LM=1\n1 2\n", "A=\n", ""),
     ("# Markups fiducial file version = 4.11\n", "# a\n", ""),
