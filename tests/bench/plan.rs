@@ -23,13 +23,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use gallery::Picture;
-use gallery::figures::FIGURES;
+use gallery::figures::{FIGURES, PaperFigure};
 use harness::{Goal, Report, contender, inside, pool};
 use mlswarp::deform::{CoefficientTable, Handle, Method, Parameters};
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::Extent;
 use mlswarp::topology::{Mask, Membership};
-use mlswarp::warp::{Folds, GridSpec, Limits, Metric, PosedMesh, ResolvedRest, RestMask, RestSpec};
+use mlswarp::warp::{
+    CompiledRest, Folds, GridSpec, Limits, Metric, PosedMesh, ResolvedRest, RestMask, RestSpec,
+};
 
 fn main() {
     let mut report = Report::new(
@@ -91,13 +93,27 @@ fn main() {
     as_rigid_as_possible(&mut report);
 }
 
-/// The mesh of the horse in pieces of 8 px, and that of a whole picture of 500 x 500 px in pieces
-/// of 5, with 11 handles each: once for handles at rest, and a pose.
-fn as_rigid_as_possible(report: &mut Report) {
-    let figure = FIGURES.iter().find(|figure| figure.name == "figure-4");
+/// A figure of the gallery, and its photograph.
+fn figure(name: &str) -> (&'static PaperFigure, Picture) {
+    let figure = FIGURES.iter().find(|figure| figure.name == name);
     let figure = figure.expect("a figure of the gallery");
     let images = concat!(env!("CARGO_MANIFEST_DIR"), "/test_files/images");
     let picture = Picture::open(&Path::new(images).join(figure.image)).expect("a photograph");
+    (figure, picture)
+}
+
+/// What is computed once for handles at rest.
+fn compiled(rest: &RestSpec, extent: Extent) -> (ResolvedRest, CompiledRest) {
+    let limits = Limits::default();
+    let setup = ResolvedRest::new(rest, extent, &limits, &|| false).expect("handles");
+    let plan = setup.plan(&|| false).expect("nothing cancels it");
+    (setup, plan)
+}
+
+/// The mesh of the horse in pieces of 8 px, and that of a whole picture of 500 x 500 px in pieces
+/// of 5, with 11 handles each: once for handles at rest, and a pose.
+fn as_rigid_as_possible(report: &mut Report) {
+    let (figure, picture) = figure("figure-4");
     let all = |_, row: &mut [Membership]| row.fill(Membership::Inside);
     let side = sets::SIDE as u32;
     let whole = RestMask {
@@ -127,12 +143,7 @@ fn as_rigid_as_possible(report: &mut Report) {
             mask: Some(mask),
             ..RestSpec::default()
         };
-        let build = || {
-            let limits = Limits::default();
-            let setup = ResolvedRest::new(&rest, extent, &limits, &|| false).expect("handles");
-            let plan = setup.plan(&|| false).expect("nothing cancels it");
-            (setup, plan)
-        };
+        let build = || compiled(&rest, extent);
         let (setup, plan) = build();
         let pose = setup.pose(&q).expect("handles of the method");
         let posed = || {
@@ -165,10 +176,7 @@ fn as_rigid_as_possible(report: &mut Report) {
 
 /// The horse of the gallery, in cells of 4 px.
 fn inside_an_outline(report: &mut Report) {
-    let figure = FIGURES.iter().find(|figure| figure.name == "hoof");
-    let figure = figure.expect("a figure of the gallery");
-    let images = concat!(env!("CARGO_MANIFEST_DIR"), "/test_files/images");
-    let picture = Picture::open(&Path::new(images).join(figure.image)).expect("a photograph");
+    let (figure, picture) = figure("hoof");
     let extent = picture.image.extent();
     let rest = RestSpec {
         p: figure.rest.handles(),
@@ -178,12 +186,7 @@ fn inside_an_outline(report: &mut Report) {
         grid: GridSpec::Cell(4.0),
         ..RestSpec::default()
     };
-    let build = || {
-        let limits = Limits::default();
-        let setup = ResolvedRest::new(&rest, extent, &limits, &|| false).expect("handles");
-        let plan = setup.plan(&|| false).expect("nothing cancels it");
-        (setup, plan)
-    };
+    let build = || compiled(&rest, extent);
     let mask = &picture.mask.mask;
     let (one, two) = (pool(1), pool(2));
     let of_threads = |threads: &str| {

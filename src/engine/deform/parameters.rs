@@ -2,8 +2,8 @@
 
 use super::{DeformError, Handles, METHODS};
 
-/// Most parameters that are given at once: a client may send those of all methods, and is told that
-/// they do not belong together. Those of several methods count as often.
+/// Most parameters that are given at once: a client may send those of all methods, which are then
+/// refused because they do not belong together. Those of several methods count as often.
 const MAX_PARAMETERS: usize = {
     let (mut count, mut k) = (0, 0);
     while k < METHODS.len() {

@@ -23,8 +23,8 @@ use crate::problem::{Code, Problem};
 use scan::next;
 pub(crate) use scan::next_value;
 
-/// A text of so many bytes is read in less time than there is between two questions whether
-/// anybody wants the result.
+/// Texts of at most this many bytes are read without asking whether anybody wants the result: one
+/// pass takes less than a millisecond.
 const SHORT_BYTES: usize = 256 << 10;
 /// Members of an object of another kind that are looked at.
 const MOST_MEMBERS: usize = 64;

@@ -176,7 +176,7 @@ impl<'a> Inverse<'a> {
     /// The boxes of the tree that have been looked at beyond `FREE_BOXES` for each position. Their
     /// number has no bound below that of all cells: boxes may contain a position that none of their
     /// cells contains, and the patches of all cells may be beside a position in all their boxes.
-    /// So whoever limits the work counts them, as [`Inverse::steps`] are counted; a limit for each
+    /// So a limit of the work counts them, as it counts [`Inverse::steps`]; a limit for each
     /// position instead would lose positions that are found.
     #[must_use]
     pub fn boxes(&self) -> u64 {
