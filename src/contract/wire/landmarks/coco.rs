@@ -13,7 +13,7 @@ use std::collections::HashMap;
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
-use super::item::{ItemNames, name_in};
+use super::item::{ImageNames, Items, name_in};
 use super::json::ObjectMembers;
 use super::own::read_names;
 use super::{Format, FormatReader, offset};
@@ -61,7 +61,7 @@ fn people(
     out: &mut Collector,
 ) -> Result<usize, BadJson> {
     let files = images
-        .map(|images| files(text, &images))
+        .map(|images| files(text, &images, out.items()))
         .transpose()?
         .unwrap_or_default();
     list.items::<BadJson>(ANNOTATIONS, |_, person| {
@@ -76,18 +76,18 @@ fn people(
         if labelled == 0 {
             return Ok(());
         }
-        let file = image.map(|image| {
-            name_in(
-                &files
-                    .get(image.text)
-                    .map_or(image, |file| Node::new(file, At::Root)),
-            )
-        });
-        let (file, part) = (
-            file.transpose()?.unwrap_or_default(),
-            optional(id, name_in)?.unwrap_or_default(),
-        );
-        if !out.item(at, &ItemNames::new(&file, &part).list())? {
+        let (file, names) = match image {
+            None => (None, Some(ImageNames::new("", out.items()))),
+            Some(image) => match files.get(image.text) {
+                Some((file, names)) => (Some(Node::new(file, At::Root)), *names),
+                None => (Some(image), names_of(&image, out.items())),
+            },
+        };
+        // Many annotations may have one image with a long name.
+        let file = file.filter(|_| names.is_none() || out.items().may_name_next());
+        let file = optional(file, name_in)?.unwrap_or_default();
+        let part = optional(id, name_in)?.unwrap_or_default();
+        if !out.item_of(at, names.unwrap_or_default(), (&file, &part))? {
             return Ok(());
         }
         out.require_below(offset(text, &keypoints), count)?;
@@ -135,8 +135,17 @@ fn count(text: &str, keypoints: &Node<'_, '_>) -> Result<(usize, usize), BadJson
     Ok((numbers / 3, labelled))
 }
 
-/// The names of files by the ids of images, both as they are written.
-fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, &'j str>, BadJson> {
+/// The names of the items of an image; `None` if that of its file is none, which is an error where
+/// an item has it.
+fn names_of(file: &Node<'_, '_>, items: &Items) -> Option<ImageNames> {
+    let file = name_in(file).ok()?;
+    Some(ImageNames::new(&file, items))
+}
+
+/// The names of files as they are written, and those of their items, by the ids of images.
+type ImageFiles<'j> = HashMap<&'j str, (&'j str, Option<ImageNames>)>;
+
+fn files<'j>(text: &str, images: &Node<'j, '_>, items: &Items) -> Result<ImageFiles<'j>, BadJson> {
     let mut files = HashMap::new();
     images.items::<BadJson>("an array of images", |index, image| {
         if index == MOST_IMAGES {
@@ -147,7 +156,7 @@ fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, &'j s
             return Err(Bad::new(offset(text, &image), detail).into());
         }
         if let [Some(id), Some(file)] = image.find(&["id", "file_name"])? {
-            files.insert(id.text, file.text);
+            files.insert(id.text, (file.text, names_of(&file, items)));
         }
         Ok(())
     })?;

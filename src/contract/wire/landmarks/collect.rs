@@ -5,7 +5,7 @@ use mlswarp::geometry::Point;
 
 use super::Format;
 use super::bad::Bad;
-use super::item::{Item, ItemAction, Items};
+use super::item::{ImageNames, Item, ItemAction, ItemName, Items};
 use crate::problem::words::quote;
 
 /// The largest coordinate of the contract, px.
@@ -174,10 +174,37 @@ impl Collector {
         self.frame = frame;
     }
 
+    /// The items of the file until now.
+    pub(super) fn items(&self) -> &Items {
+        &self.items
+    }
+
+    /// As [`Collector::named_item`], of an item whose names no other one begins with.
+    pub(super) fn item(&mut self, at: usize, names: &[&str]) -> Result<bool, Bad> {
+        let pieces: Vec<[&str; 1]> = names.iter().map(|name| [*name]).collect();
+        let name = |pieces| ItemName {
+            pieces,
+            part: "",
+            rest: self.items.rest(pieces),
+        };
+        let names: Vec<ItemName<'_>> = pieces.iter().map(|pieces| name(pieces)).collect();
+        self.named_item(at, &names)
+    }
+
+    /// As [`Collector::named_item`], of an item of an image; `file` and `part` as there.
+    pub(super) fn item_of(
+        &mut self,
+        at: usize,
+        image: ImageNames,
+        (file, part): (&str, &str),
+    ) -> Result<bool, Bad> {
+        image.with(file, part, |names| self.named_item(at, names))
+    }
+
     /// The next item of the file begins, which has these names. Whether its landmarks are wanted;
     /// those that were collected before may be forgotten. Errors: A second item with the wanted
     /// name.
-    pub(super) fn item(&mut self, at: usize, names: &[&str]) -> Result<bool, Bad> {
+    pub(super) fn named_item(&mut self, at: usize, names: &[ItemName<'_>]) -> Result<bool, Bad> {
         let action = self.items.next(at, names)?;
         if action == ItemAction::ReadInstead {
             (self.columns, self.unmatched) = (0, Unmatched::default());

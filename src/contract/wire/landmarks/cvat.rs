@@ -13,7 +13,7 @@ use mlswarp::geometry::Point;
 
 use super::bad::Bad;
 use super::collect::{Collector, Landmark, Located};
-use super::item::ItemNames;
+use super::item::ImageNames;
 use super::xml::{Tag, Tags, root};
 use super::{Format, FormatReader, SourceText};
 use crate::problem::words::quote;
@@ -33,7 +33,8 @@ fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut tags = Tags::new(source);
     // Whether the item is wanted: of the loose shapes of the image, known at the first, and of a
     // skeleton.
-    let (mut image, mut skeletons, mut loose, mut skeleton) = (String::new(), 0_usize, None, None);
+    let (mut skeletons, mut loose, mut skeleton) = (0_usize, None, None);
+    let (mut image, mut names) = (String::new(), ImageNames::default());
     while let Some(tag) = tags.next_tag()? {
         match (tag.name, tag.is_end) {
             ("track", false) => {
@@ -44,21 +45,18 @@ fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
             ("image", false) => {
                 let [name] = tag.required(["name"])?;
                 (image, skeletons, loose) = (name.unescaped()?.into_owned(), 0, None);
+                names = ImageNames::new(&image, out.items());
             }
             ("skeleton", false) => {
-                skeleton = Some(out.item(
-                    tag.at,
-                    &ItemNames::new(&image, &skeletons.to_string()).list(),
-                )?);
+                let part = skeletons.to_string();
+                skeleton = Some(out.item_of(tag.at, names, (&image, &part))?);
                 skeletons += 1;
             }
             ("skeleton", true) => skeleton = None,
             ("points" | "polyline" | "polygon", false) => {
                 let is_wanted = match (skeleton, loose) {
                     (Some(is_wanted), _) | (None, Some(is_wanted)) => is_wanted,
-                    (None, None) => {
-                        *loose.insert(out.item(tag.at, &ItemNames::new(&image, "").list())?)
-                    }
+                    (None, None) => *loose.insert(out.item_of(tag.at, names, (&image, ""))?),
                 };
                 if is_wanted {
                     shape(&tag, skeleton.is_some(), out)?;

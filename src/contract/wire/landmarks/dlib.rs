@@ -9,7 +9,7 @@
 
 use super::bad::Bad;
 use super::collect::Collector;
-use super::item::ItemNames;
+use super::item::ImageNames;
 use super::xml::{Tags, root};
 use super::{Format, FormatReader, SourceText};
 
@@ -36,12 +36,14 @@ struct DlibBox {
 
 fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut tags = Tags::new(source);
-    let (mut image, mut boxes, mut object) = (String::new(), 0, None::<DlibBox>);
+    let (mut image, mut names) = (String::new(), ImageNames::default());
+    let (mut boxes, mut object) = (0, None::<DlibBox>);
     while let Some(tag) = tags.next_tag()? {
         match (tag.name, tag.is_end) {
             ("image", false) => {
                 let [file] = tag.required(["file"])?;
                 (image, boxes) = (file.unescaped()?.into_owned(), 0);
+                names = ImageNames::new(&image, out.items());
             }
             ("box", false) => {
                 object = Some(DlibBox {
@@ -60,8 +62,8 @@ fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
                     ));
                 };
                 if object.is_wanted.is_none() {
-                    let names = ItemNames::new(&image, &object.index.to_string());
-                    object.is_wanted = Some(out.item(object.at, &names.list())?);
+                    let part = object.index.to_string();
+                    object.is_wanted = Some(out.item_of(object.at, names, (&image, &part))?);
                 }
                 if object.is_wanted == Some(true) {
                     let [name, x, y] = tag.required(["name", "x", "y"])?;

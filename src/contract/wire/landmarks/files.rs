@@ -162,8 +162,8 @@ impl LandmarkFiles {
     pub fn reading_bytes(&self, max_columns: usize) -> u64 {
         const HANDLE_BYTES: usize = 400;
         const NAME_BYTES: usize = 4 * 256;
-        // The longest row of a table, twice, and a long line.
-        const ROW_BYTES: usize = 10 << 20;
+        // The longest row of a table, three times (those of a header), and a long line.
+        const ROW_BYTES: usize = 14 << 20;
         let files = [&self.both, &self.p, &self.q].into_iter().flatten();
         let bytes = files.map(|file| {
             // A handle takes two bytes of text at least.

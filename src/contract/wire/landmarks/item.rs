@@ -2,7 +2,7 @@
 //! rows.
 
 use super::bad::Bad;
-use crate::problem::words::quote;
+use crate::problem::words::{LONGEST_QUOTE, quote};
 use crate::problem::{Code, Problem};
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::whole;
@@ -49,10 +49,47 @@ impl Item {
     }
 }
 
+/// What is left of the wanted name behind pieces that names of several items begin with: where its
+/// rest begins, bytes. `None`: the wanted name begins otherwise.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct WantedRest(Option<u32>);
+
+/// A name of an item: pieces, and what tells the item from others with these pieces, with slashes
+/// between them. The pieces may be long and of many items, so they are compared once for all of
+/// them, and neither copied nor put together for each.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ItemName<'a> {
+    pub(super) pieces: &'a [&'a str],
+    /// Empty: the pieces are the name.
+    pub(super) part: &'a str,
+    /// That of the pieces.
+    pub(super) rest: WantedRest,
+}
+
+impl ItemName<'_> {
+    fn texts(&self) -> impl Iterator<Item = &str> {
+        let part = Some(self.part).filter(|part| !part.is_empty());
+        let pieces = self.pieces.iter().copied().chain(part).enumerate();
+        pieces.flat_map(|(k, piece)| [&"/"[..k.min(1)], piece])
+    }
+
+    fn len(&self) -> usize {
+        self.texts().map(str::len).sum()
+    }
+
+    /// As an error quotes it, which takes its beginning only.
+    fn quoted(&self) -> String {
+        let start = self.texts().flat_map(str::chars).take(LONGEST_QUOTE + 1);
+        quote(&start.collect::<String>())
+    }
+}
+
 /// The items of a file, as they come.
 #[derive(Debug)]
 pub(super) struct Items {
     wanted: Option<Item>,
+    /// The place that the wanted item has, if it is a number.
+    wanted_index: Option<usize>,
     count: usize,
     /// The first ones, as an error names them.
     listed: Vec<String>,
@@ -77,8 +114,15 @@ pub(super) enum ItemAction {
 
 impl Items {
     pub(super) fn new(wanted: Option<Item>) -> Self {
+        let wanted_index = match &wanted {
+            None => Some(0),
+            Some(Item::Index(index)) => Some(*index),
+            Some(Item::Name(_)) => None,
+            Some(Item::Text(text)) => text.parse().ok(),
+        };
         Self {
             wanted,
+            wanted_index,
             count: 0,
             listed: Vec::new(),
             named: Vec::new(),
@@ -88,32 +132,55 @@ impl Items {
         }
     }
 
+    fn wanted_name(&self) -> Option<&str> {
+        match &self.wanted {
+            None | Some(Item::Index(_)) => None,
+            Some(Item::Name(name)) => Some(name),
+            Some(Item::Text(name)) => Some(name.trim()),
+        }
+    }
+
+    /// What is left of the wanted name behind these pieces.
+    pub(super) fn rest(&self, pieces: &[&str]) -> WantedRest {
+        let of_name = |name: &str| {
+            let mut rest = name;
+            for (k, piece) in pieces.iter().enumerate() {
+                rest = rest.strip_prefix(&"/"[..k.min(1)])?.strip_prefix(piece)?;
+            }
+            u32::try_from(name.len() - rest.len()).ok()
+        };
+        WantedRest(self.wanted_name().and_then(of_name))
+    }
+
+    fn is_wanted(&self, ItemName { part, rest, .. }: &ItemName<'_>) -> bool {
+        let Some(rest) = self.wanted_name().zip(rest.0) else {
+            return false;
+        };
+        match &rest.0[rest.1 as usize..] {
+            rest if part.is_empty() => rest.is_empty(),
+            rest => rest.strip_prefix('/') == Some(part),
+        }
+    }
+
+    /// Whether errors may name the next item. Of others only the rest of the wanted name matters,
+    /// and the pieces need not be there.
+    pub(super) fn may_name_next(&self) -> bool {
+        self.count < MOST_LISTED || self.count < MOST_NAMED && self.named.len() == self.count
+    }
+
     /// The next item has these names.
     /// Errors: A second item with the wanted name.
-    pub(super) fn next(&mut self, at: usize, names: &[&str]) -> Result<ItemAction, Bad> {
+    pub(super) fn next(&mut self, at: usize, names: &[ItemName<'_>]) -> Result<ItemAction, Bad> {
         let index = self.count;
-        self.count += 1;
         if index == 1 {
             self.second = at;
         }
-        if self.listed.len() < MOST_LISTED {
-            let names: Vec<String> = names
-                .iter()
-                .filter(|name| !name.is_empty())
-                .map(|name| quote(name))
-                .collect();
-            self.listed
-                .push(format!("{index} {}", names.join(" ")).trim_end().to_owned());
+        if self.may_name_next() {
+            self.name_next(names);
         }
-        self.name(names);
-        let (is_index, is_name) = match &self.wanted {
-            None => (index == 0, false),
-            Some(Item::Index(wanted)) => (index == *wanted, false),
-            Some(Item::Name(wanted)) => (false, names.contains(&wanted.as_str())),
-            Some(Item::Text(wanted)) => {
-                (wanted.parse() == Ok(index), names.contains(&wanted.trim()))
-            }
-        };
+        self.count += 1;
+        let is_index = self.wanted_index == Some(index);
+        let is_name = names.iter().any(|name| self.is_wanted(name));
         match (is_name, is_index, self.found) {
             (true, _, Some(true)) => {
                 let name = self.wanted.as_ref().map(Item::text).unwrap_or_default();
@@ -141,16 +208,27 @@ impl Items {
         }
     }
 
-    /// Keeps the names of an item.
-    fn name(&mut self, names: &[&str]) {
-        let bytes: usize = names.iter().map(|name| name.len() + 1).sum();
+    /// Keeps the names of the next item, as far as errors have them.
+    fn name_next(&mut self, names: &[ItemName<'_>]) {
+        let lengths = names.iter().map(ItemName::len);
+        let named = || {
+            names
+                .iter()
+                .zip(lengths.clone())
+                .filter(|(_, length)| *length > 0)
+        };
+        if self.listed.len() < MOST_LISTED {
+            let quoted: Vec<String> = named().map(|(name, _)| name.quoted()).collect();
+            let listed = format!("{} {}", self.count, quoted.join(" "));
+            self.listed.push(listed.trim_end().to_owned());
+        }
+        let bytes: usize = lengths.clone().map(|length| length + 1).sum();
         let has_room = self.named.len() < MOST_NAMED
             && self.named_bytes.saturating_add(bytes) <= MOST_NAMED_BYTES;
         // The order of the names says whose they are, so none are kept after a gap.
-        if has_room && self.named.len() + 1 == self.count {
-            let names = names.iter().filter(|name| !name.is_empty());
-            self.named
-                .push(names.map(|name| (*name).to_owned()).collect());
+        if has_room && self.named.len() == self.count {
+            let texts = named().map(|(name, _)| name.texts().collect());
+            self.named.push(texts.collect());
             self.named_bytes += bytes;
         }
     }
@@ -208,32 +286,42 @@ pub(super) fn name_in(node: &Node<'_, '_>) -> Result<String, Problem> {
     }
 }
 
-/// The names of an item in a file of several images: the file of its image, with its folders and
-/// without, and the latter with what tells the item from the others of the image.
-#[derive(Debug)]
-pub(super) struct ItemNames([String; 3]);
+/// The names of the items of one image: the file of the image, with its folders and without, and
+/// the latter with what tells the item from the others of the image.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ImageNames {
+    /// Where the name without folders begins, bytes.
+    short: u32,
+    rests: [WantedRest; 2],
+}
 
-impl ItemNames {
-    /// `part`: empty if the image has one item.
-    pub(super) fn new(file: &str, part: &str) -> Self {
-        let short = file.rsplit(['/', '\\']).next().unwrap_or_default();
-        let whole = if part.is_empty() {
-            String::new()
-        } else {
-            format!("{short}/{part}")
-        };
-        Self([
-            file.to_owned(),
-            if short == file {
-                String::new()
-            } else {
-                short.to_owned()
-            },
-            whole,
-        ])
+impl ImageNames {
+    pub(super) fn new(file: &str, items: &Items) -> Self {
+        let short = file.rfind(['/', '\\']).map_or(0, |folders| folders + 1);
+        Self {
+            short: u32::try_from(short).unwrap_or_default(),
+            rests: [items.rest(&[file]), items.rest(&[&file[short..]])],
+        }
     }
 
-    pub(super) fn list(&self) -> [&str; 3] {
-        self.0.each_ref().map(String::as_str)
+    /// Calls `use_names` with the names of an item. `file`: as before, or empty if errors do not
+    /// name the item. `part`: empty if the image has one item.
+    pub(super) fn with<T>(
+        &self,
+        file: &str,
+        part: &str,
+        use_names: impl FnOnce(&[ItemName<'_>]) -> T,
+    ) -> T {
+        let short = [file.get(self.short as usize..).unwrap_or_default()];
+        let (file, [rest, short_rest]) = ([file], self.rests);
+        let name = |pieces, part, rest| ItemName { pieces, part, rest };
+        let (whole, only) = (name(&file, "", rest), name(&short, "", short_rest));
+        let of_part = name(&short, part, short_rest);
+        match (self.short > 0, part.is_empty()) {
+            (false, true) => use_names(&[whole]),
+            (true, true) => use_names(&[whole, only]),
+            (false, false) => use_names(&[whole, of_part]),
+            (true, false) => use_names(&[whole, only, of_part]),
+        }
     }
 }

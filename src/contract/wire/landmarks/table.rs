@@ -11,12 +11,12 @@ use super::{SourceText, Work};
 use crate::problem::words::quote;
 
 /// The longest field, bytes.
-const LONGEST_FIELD: usize = 1024;
+pub(super) const LONGEST_FIELD: usize = 1024;
 /// The largest number of fields in a row.
-const MOST_FIELDS: usize = 4096;
+pub(super) const MOST_FIELDS: usize = 4096;
 
 /// A field and its place in the file, bytes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct TableField {
     pub(super) at: usize,
     pub(super) text: String,

@@ -3,6 +3,8 @@
 
 use std::cell::Cell;
 
+use super::super::table::{LONGEST_FIELD, MOST_FIELDS, TableField, TableRows};
+use super::super::{Choice, Item, SourceText};
 use super::{LandmarkFiles, both};
 use crate::problem::Code;
 use crate::wire::work::{BYTES_PER_CHECK, Work};
@@ -252,6 +254,90 @@ fn reading_stops_soon_after_nobody_wants_the_result() {
         }
         assert!(whole.bytes() > 0);
     }
+}
+
+/// What precedes the items of an image, `*`, one of them, and what follows.
+const ITEMS: [(&str, &str, &str); 3] = [
+    (
+        "<dataset><image file='*'>",
+        "<box><part name='a' x='1' y='2'/></box>",
+        "</image></dataset>",
+    ),
+    (
+        "<annotations><image name='*'>",
+        "<skeleton><points label='a' points='1,2'/></skeleton>",
+        "</image></annotations>",
+    ),
+    (
+        r#"{"images": [{"id": 1, "file_name": "*"}], "annotations": ["#,
+        r#"{"id": 2, "image_id": 1, "keypoints": [1, 2, 2]}, "#,
+        "{}]}",
+    ),
+];
+
+/// Rows of an image with many long folders, and landmarks of these animals in turn.
+fn deeplabcut(animals: &str) -> String {
+    const ROWS: usize = 2;
+    let (none, path) = (
+        ",".repeat(2000),
+        format!("{},", "a".repeat(1000)).repeat(2000),
+    );
+    let row = |folders: &str, cells: &str| format!("{folders}{}\n", [cells; 500].join(","));
+    let header = [
+        ("scorer", "e,e,e,e"),
+        ("individuals", animals),
+        ("bodyparts", "c,c,d,d"),
+        ("coords", "x,y,x,y"),
+    ];
+    let header = header.map(|(name, cells)| row(&format!("{name}{none}"), cells));
+    header.concat() + &row(&path, "1,2,3,4").repeat(ROWS)
+}
+
+/// What the items of an image have in common is looked at once for all of them.
+#[test]
+fn long_names_of_images_are_not_read_for_each_item() {
+    let file = |text: String| LandmarkFiles {
+        choice: Choice {
+            item: Some(Item::Name("c".to_owned())),
+            ..Choice::default()
+        },
+        ..both(text)
+    };
+    let of_image = |(start, item, end): (&str, &str, &str)| {
+        let items = item.repeat((512 << 10) / item.len());
+        ["a".to_owned(), "a".repeat(4000)]
+            .map(|name| format!("{}{items}{end}", start.replace('*', &name)))
+    };
+    let of_rows = ["a,a,a,a", "a,a,b,b"].map(deeplabcut);
+    for texts in ITEMS.map(of_image).into_iter().chain([of_rows]) {
+        let what = start(&texts[0]);
+        let files = texts.map(file);
+        let least = |file: &LandmarkFiles| (0..3).map(|_| cost(file).1).min();
+        let [few, many] = files.each_ref().map(|file| least(file).unwrap());
+        assert!(
+            many < 2 * few + 24_000_000,
+            "{what}: {many} ns instead of {few}"
+        );
+    }
+}
+
+/// A header has three rows in memory, each of which may be as long as a row can be.
+#[test]
+fn the_longest_rows_are_within_what_reading_reserves() {
+    let row = vec!["a".repeat(LONGEST_FIELD - 1); MOST_FIELDS].join(",");
+    // The first row is a line, and those are shorter.
+    let text = format!("a,b\n{row}\n");
+    let source = SourceText {
+        text: &text,
+        start: 0,
+        work: &Work::new(&|| false),
+    };
+    let mut rows = TableRows::new(source).unwrap();
+    let [_, row] = [(); 2].map(|()| rows.next_row().unwrap().unwrap());
+    let bytes = |field: &TableField| size_of::<TableField>() + field.text.capacity();
+    let bytes: usize = row.fields.iter().map(bytes).sum();
+    let files = both(text.repeat(4));
+    assert!(3 * bytes as u64 <= files.reading_bytes(0), "{bytes}");
 }
 
 /// Rows that are left out take the place of those that count.
