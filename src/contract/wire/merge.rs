@@ -188,16 +188,15 @@ fn fields_of<'j>(root: &Node<'j, '_>, source: usize) -> Vec<MergedField<'j>> {
 /// An object without some of its fields.
 /// Errors: A text that is not a JSON object.
 fn without(object: &[u8], names: &[&str]) -> Result<Vec<u8>, Problem> {
-    spliced(object, names, b"{}")
+    Ok(spliced_into(&json::root(object)?, names, b"{}"))
 }
 
 /// An object without some of its fields, and with those of another object, which come first.
-/// Errors: A text that is not a JSON object.
-pub(crate) fn spliced(object: &[u8], without: &[&str], more: &[u8]) -> Result<Vec<u8>, Problem> {
-    let (root, more) = (json::root(object)?, json::root(more)?.text);
-    let mut text = Vec::with_capacity(object.len() + more.len() + 1);
-    text.extend_from_slice(more[..more.len() - 1].trim_end().as_bytes());
-    for (name, value) in root
+pub(crate) fn spliced_into(object: &Node<'_, '_>, without: &[&str], more: &[u8]) -> Vec<u8> {
+    let more = more.trim_ascii().strip_suffix(b"}").unwrap_or_default();
+    let mut text = Vec::with_capacity(object.text.len() + more.len() + 1);
+    text.extend_from_slice(more.trim_ascii_end());
+    for (name, value) in object
         .pairs()
         .filter(|(name, _)| !without.contains(&name.trim_matches('"')))
     {
@@ -207,7 +206,7 @@ pub(crate) fn spliced(object: &[u8], without: &[&str], more: &[u8]) -> Result<Ve
         }
     }
     text.push(b'}');
-    Ok(text)
+    text
 }
 
 /// A warp object as the body of `/fit`: without what says how it is drawn.
@@ -297,8 +296,8 @@ mod tests {
         .unwrap();
         assert_eq!(fit, br#"{"p":[],"candidates":[],"align":"rigid","more":1}"#);
         let spliced = |object: &str, more: &str| {
-            String::from_utf8(spliced(object.as_bytes(), &["item"], more.as_bytes()).unwrap())
-                .unwrap()
+            let root = json::root(object.as_bytes()).unwrap();
+            String::from_utf8(spliced_into(&root, &["item"], more.as_bytes())).unwrap()
         };
         assert_eq!(spliced("{}", "{}"), "{}");
         assert_eq!(spliced(r#" {"item": 3} "#, r#"{"p": {} }"#), r#"{"p": {}}"#);

@@ -13,7 +13,7 @@ use crate::limits::memory::MemoryClass;
 use crate::pool::{Cancel, QueueKey};
 use crate::problem::Problem;
 use crate::wire::Reserved;
-use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
+use crate::wire::landmarks::{BesideFiles, Choice, LandmarkFiles, Landmarks, Target};
 
 /// Longest text of a number with its punctuation, bytes, and that of the response without numbers
 /// and names.
@@ -55,9 +55,10 @@ pub(crate) async fn fields(
     );
     let reserve = app.admission.reserving(MemoryClass::Upload, client);
     let write = move |cancel: &Cancel| {
-        files.choice.add(Choice::of_warp(&json)?)?;
-        let landmarks =
-            Reserved::of_files_for(&files, target, columns, &|| cancel.is_cancelled(), reserve)?;
+        let is_cancelled = || cancel.is_cancelled();
+        let beside = BesideFiles::new(&json, &is_cancelled)?;
+        files.choice.add(beside.choice()?)?;
+        let landmarks = Reserved::of_files_for(&files, target, columns, &is_cancelled, reserve)?;
         // The handles alone, and among the other fields.
         let length = json.len()
             + EMPTY_TEXT
@@ -65,7 +66,7 @@ pub(crate) async fn fields(
             + landmarks.names_length();
         let reservation = admission.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
         let (landmarks, _held) = landmarks.into_parts();
-        let body = landmarks.into_fields(&json, target)?;
+        let body = landmarks.into_fields(&beside, target)?;
         Ok::<_, Problem>(reservation.attach_exact(body))
     };
     ticket.run(write).await?

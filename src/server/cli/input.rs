@@ -15,7 +15,7 @@ use serde_json::json;
 use super::failure::{Failure, name_of};
 use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
-use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target, extent};
+use crate::wire::landmarks::{BesideFiles, Choice, LandmarkFiles, Landmarks, Target, extent};
 use crate::wire::{Merged, NamedObject, Reserved, extent_in};
 
 /// Whether a path stands for standard input or output.
@@ -313,7 +313,7 @@ impl Body {
             merged
                 .require_no_handles()
                 .map_err(|problem| located(&merged, problem))?;
-            json = landmarks.into_fields(&json, Target::Request)?;
+            json = landmarks.into_fields(&BesideFiles::new(&json, &|| false)?, Target::Request)?;
         }
         Ok(Self {
             json: json.into(),

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::Reserved;
-use mlswarp_server::wire::landmarks::{LandmarkFiles, Landmarks, Target};
+use mlswarp_server::wire::landmarks::{BesideFiles, LandmarkFiles, Landmarks, Target};
 use serde_json::{Value, json};
 
 use super::assert_is_problem;
@@ -93,10 +93,11 @@ pub(super) fn read(bytes: &[u8]) {
 /// As fields of the JSON beside the files, the handles are the ones that were read.
 fn as_fields(files: &LandmarkFiles, read: &Value) {
     let options = br#"{"extent": [640, 480], "method": "affine", "item": null}"#;
+    let options = BesideFiles::new(options, &|| false).expect("an object");
     let target = Target::Session(Extent::new(640, 480).expect("a size"));
     let Ok(fields) = landmarks(files)
         .expect("what was read")
-        .into_fields(options, target)
+        .into_fields(&options, target)
     else {
         return;
     };

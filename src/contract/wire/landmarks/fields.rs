@@ -9,11 +9,12 @@ use serde::Serialize;
 
 use super::Work;
 use super::bad::Bad;
-use super::files::{LandmarkFiles, Landmarks, SIDES, each, mismatched};
+use super::files::{Choice, LandmarkFiles, Landmarks, SIDES, each, mismatched};
 use crate::problem::{Code, Problem};
-use crate::wire::merge::{extent_in, spliced};
+use crate::wire::json::{self, At, Node, optional};
+use crate::wire::merge::spliced_into;
 use crate::wire::rest::require_no_handles;
-use crate::wire::{AsJson, json};
+use crate::wire::{AsJson, size};
 
 /// The handles that landmark files stand for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +26,40 @@ pub enum Target {
     Session(Extent),
     /// A pose of a session with an image of this size, in its units.
     Pose(Extent, Units),
+}
+
+/// The JSON beside landmark files. It may be long: it is checked once, and its scans are counted
+/// and end when they are cancelled.
+#[derive(Debug)]
+pub struct BesideFiles<'j, 'c> {
+    object: &'j str,
+    pub(super) work: Work<'c>,
+}
+
+impl<'j, 'c> BesideFiles<'j, 'c> {
+    /// `cancelled` is true when the result is no longer wanted.
+    /// Errors: A text that is not a JSON object; cancelled.
+    pub fn new(json: &'j [u8], cancelled: &'c dyn Fn() -> bool) -> Result<Self, Problem> {
+        let work = Work::new(cancelled);
+        let root = json::long_root(json, &work).map(|root| root.text);
+        let object = work.believe(root)?;
+        Ok(Self { object, work })
+    }
+
+    fn root(&self) -> Node<'j, '_> {
+        Node {
+            work: Some(&self.work),
+            ..Node::new(self.object, At::Root)
+        }
+    }
+
+    /// What it says is read from the files.
+    /// Errors: A field with another value; cancelled.
+    pub fn choice(&self) -> Result<Choice, Problem> {
+        let root = self.root();
+        let fields = root.find(&["match", "item"]);
+        self.work.believe(fields.and_then(Choice::of_fields))
+    }
 }
 
 /// What is written. Names say nothing more, and one of each side says that there are unmatched
@@ -90,10 +125,18 @@ impl LandmarkFiles {
 impl Landmarks {
     /// The text of a JSON object with the handles as fields, in place of those that chose what was
     /// read. Errors: `bad_value` at a field that says the same; as [`Self::scale`]; without `q`
-    /// where it is needed.
-    pub fn into_fields(self, json: &[u8], target: Target) -> Result<Vec<u8>, Problem> {
-        let root = json::root(json)?;
-        let [p, q, units] = root.find(&["p", "q", "units"])?;
+    /// where it is needed; cancelled.
+    pub fn into_fields(
+        self,
+        beside: &BesideFiles<'_, '_>,
+        target: Target,
+    ) -> Result<Vec<u8>, Problem> {
+        let root = beside.root();
+        beside.work.believe(self.spliced(&root, target))
+    }
+
+    fn spliced(self, root: &Node<'_, '_>, target: Target) -> Result<Vec<u8>, Problem> {
+        let [p, q, units, extent] = root.find(&["p", "q", "units", "extent"])?;
         let has = |name: &str| match name {
             "q" => q.is_some(),
             "p" => p.is_some(),
@@ -107,7 +150,7 @@ impl Landmarks {
         let placed = match target {
             Target::Request => {
                 self.require_q()?;
-                self.scale(extent_in(json)?)?
+                self.scale(optional(extent, size)?)?
             }
             Target::Session(extent) | Target::Pose(extent, _) => self.scale(Some(extent))?,
         };
@@ -145,10 +188,7 @@ impl Landmarks {
         };
         let fields = serde_json::to_vec(&fields)
             .map_err(|e| Problem::new(Code::Internal, format!("handles as JSON: {e}")))?;
-        spliced(
-            json,
-            &["match", "item", "names", "format", "unmatched"],
-            &fields,
-        )
+        let others = ["match", "item", "names", "format", "unmatched"];
+        Ok(spliced_into(root, &others, &fields))
     }
 }

@@ -15,7 +15,7 @@ use super::{Work, read};
 use crate::problem::words::{list, quote};
 use crate::problem::{Code, Problem};
 use crate::wire::enum_name::{EnumName as _, Matching, enum_name};
-use crate::wire::json::{self, optional};
+use crate::wire::json::{self, Node, optional};
 use crate::wire::{AsJson, WarpObject};
 
 /// The files as they came.
@@ -62,7 +62,11 @@ impl Choice {
         let Ok(root) = json::root(json) else {
             return Ok(Self::default());
         };
-        let [matching, item] = root.find(&["match", "item"])?;
+        Self::of_fields(root.find(&["match", "item"])?)
+    }
+
+    /// The fields `match` and `item`.
+    pub(super) fn of_fields([matching, item]: [Option<Node<'_, '_>>; 2]) -> Result<Self, Problem> {
         Ok(Self {
             matching: optional(matching, enum_name)?,
             item: optional(item, Item::read)?,

@@ -41,7 +41,7 @@ mod tests;
 
 use bad::{Bad, BadJson};
 use collect::{Collector, LandmarkFile};
-pub use fields::Target;
+pub use fields::{BesideFiles, Target};
 pub use files::without_files;
 pub use files::{Choice, LandmarkFiles, Landmarks, Placed, extent};
 pub use item::Item;

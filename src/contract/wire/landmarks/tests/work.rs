@@ -4,8 +4,10 @@
 use std::cell::Cell;
 
 use super::super::table::{LONGEST_FIELD, MOST_FIELDS, TableField, TableRows};
-use super::super::{Choice, Item, SourceText};
+use super::super::{BesideFiles, Choice, Item, SourceText, Target};
 use super::{LandmarkFiles, both};
+use mlswarp::pixmap::Extent;
+
 use crate::problem::Code;
 use crate::wire::work::{BYTES_PER_CHECK, Work};
 
@@ -318,6 +320,33 @@ fn long_names_of_images_are_not_read_for_each_item() {
             many < 2 * few + 24_000_000,
             "{what}: {many} ns instead of {few}"
         );
+    }
+}
+
+/// The JSON beside the files is checked once, and each search for fields is one more pass.
+#[test]
+fn the_json_beside_the_files_is_checked_once_and_its_scans_are_cancelled() {
+    let others = "[1, 2], ".repeat(1 << 17);
+    let json = format!(r#"{{"others": [{others}0], "item": 0}}"#);
+    let landmarks = || both("1,2\n").read(1, &|| false).unwrap();
+    let target = Target::Session(Extent::new(4, 3).unwrap());
+    let asked = Cell::new(0_usize);
+    let count = || asked.replace(asked.get() + 1) == usize::MAX;
+    let beside = BesideFiles::new(json.as_bytes(), &count).unwrap();
+    assert_eq!(beside.choice().unwrap().item, Some(Item::Index(0)));
+    let fields = landmarks().into_fields(&beside, target).unwrap();
+    assert!(fields.ends_with(br#", 0]}"#) && fields.starts_with(br#"{"p":[[1"#));
+    let passes = beside.work.bytes() as f64 / json.len() as f64;
+    assert!((3.9..4.1).contains(&passes), "{passes}");
+    for most in (0..asked.get()).step_by(50) {
+        let left = Cell::new(most);
+        let cancelled = || left.replace(left.get().saturating_sub(1)) == 0;
+        let beside = BesideFiles::new(json.as_bytes(), &cancelled);
+        let fields = beside.and_then(|beside| {
+            beside.choice()?;
+            landmarks().into_fields(&beside, target)
+        });
+        assert_eq!(fields.unwrap_err().code, Code::Overloaded, "{most}");
     }
 }
 
