@@ -400,6 +400,50 @@ async fn a_table_is_of_the_handles_that_its_revision_names() {
     assert!((identity[5] - Z(64.0, 48.0)).norm() == 0.0);
 }
 
+/// `HEAD` says how long the file is without the system of a spline, and so without its table; and
+/// the session is shown without it.
+#[tokio::test]
+async fn a_session_and_the_length_of_its_file_need_no_coefficients() {
+    let server = Server::start(&[]).await;
+    let builds = async || {
+        let text = server.get("/metrics").send().await.unwrap().text().await;
+        let text = text.unwrap();
+        let of_setups = r#"mlswarp_cache_builds_total{cache="setups"} "#;
+        let built = text.lines().find_map(|line| line.strip_prefix(of_setups));
+        built.unwrap().parse::<u64>().unwrap()
+    };
+    let lines = json!([[[2, 2], [9, 9]], [[12, 3], [3, 10]]]);
+    let points = json!([[2, 2], [9, 9], [9, 9], [3, 10]]);
+    for warp in [
+        json!({"p": points, "method": "tps"}),
+        json!({"p": points, "method": "similarity"}),
+        json!({"p": lines, "method": "affine"}),
+        json!({"p": []}),
+    ] {
+        let id = server.session(&photo(16, 12), &warp).await;
+        for query in [
+            "",
+            "?columns=7&rows=9&precision=f16",
+            "?columns=5000&rows=5000",
+        ] {
+            let path = format!("/sessions/{id}/plan{query}");
+            server.app.clear_caches();
+            let before = builds().await;
+            let head = server.client.head(server.url(&path)).send().await.unwrap();
+            let shown = server.get(&format!("/sessions/{id}")).send().await.unwrap();
+            assert_eq!(shown.status(), 200);
+            assert_eq!(builds().await, before, "{warp} {query}");
+            let get = server.get(&path).send().await.unwrap();
+            assert_eq!(builds().await, before + 1, "{warp} {query}");
+            let of = |response: &reqwest::Response| {
+                let named = |name| response.headers().get(name).cloned();
+                (response.status(), named("etag"), named("content-length"))
+            };
+            assert_eq!(of(&head), of(&get), "{warp} {query}");
+        }
+    }
+}
+
 #[tokio::test]
 async fn a_client_that_has_the_file_gets_304() {
     let server = Server::start(&[]).await;

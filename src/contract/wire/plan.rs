@@ -4,7 +4,7 @@
 use half::f16;
 use mlswarp::deform::CoefficientTable;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CoefficientRequest, WarpError};
+use mlswarp::warp::{CoefficientCount, CoefficientRequest, WarpError};
 
 /// The first bytes of the file: its form and version.
 const MAGIC: &[u8; 8] = b"MLSPLAN1";
@@ -66,11 +66,10 @@ pub fn rest_revision(digest: mlswarp::warp::Digest) -> [u8; REVISION_BYTES] {
 }
 
 /// Length of the file.
-pub fn plan_file_bytes(table: &CoefficientRequest, precision: Precision) -> u64 {
-    let numbers = table.grid().len() as u64 * table.planes() as u64;
+pub fn plan_file_bytes(count: CoefficientCount, precision: Precision) -> u64 {
     HEADER_BYTES
-        + MEMBER_BYTES * table.members_len() as u64
-        + u64::from(precision.bytes()) * numbers
+        + MEMBER_BYTES * count.members
+        + u64::from(precision.bytes()) * count.vertices * count.planes
 }
 
 /// The file; `None` if a coefficient is too large for the precision.
@@ -94,7 +93,7 @@ pub fn plan_file(
         extent.width(),
         extent.height(),
     ];
-    let mut out = Vec::with_capacity(plan_file_bytes(table, precision) as usize);
+    let mut out = Vec::with_capacity(plan_file_bytes(table.count(), precision) as usize);
     out.extend(MAGIC);
     for number in [
         table.layout(),

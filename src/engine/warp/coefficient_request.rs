@@ -6,9 +6,10 @@ use super::cut_rest::check_uncut;
 use super::digest::Collector;
 use super::rest_parameters::{resolve_grid, with_mask};
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, Quantity, ResolvedRest, Units, WarpError};
+use super::{Digest, GridSpec, Limits, Quantity, ResolvedRest, RestSpec, Units, WarpError};
 use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, RestDeformation};
 use crate::geometry::Grid;
+use crate::pixmap::Extent;
 
 /// A lattice of vertices at equal distances over the picture, and the deformation of a
 /// [`ResolvedRest`].
@@ -17,6 +18,34 @@ pub struct CoefficientRequest {
     field: Arc<RestDeformation>,
     grid: Grid,
     rest: Digest,
+}
+
+/// How many numbers a table of coefficients has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CoefficientCount {
+    /// Vertices of the lattice.
+    pub vertices: u64,
+    /// See [`CoefficientRequest::planes`].
+    pub planes: u64,
+    /// See [`CoefficientRequest::members_len`].
+    pub members: u64,
+}
+
+impl CoefficientCount {
+    /// That of [`CoefficientRequest::new`], of which the system of a spline is not computed.
+    ///
+    /// # Errors
+    /// Those of [`ResolvedRest::new`] and [`CoefficientRequest::new`]; cancelled.
+    pub fn new(
+        (rest, extent): (&RestSpec, Extent),
+        columns: u32,
+        rows: u32,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        let setup = ResolvedRest::resolve(rest, extent, limits, false, cancelled)?;
+        CoefficientRequest::new(&setup, columns, rows, limits).map(|table| table.count())
+    }
 }
 
 impl ResolvedRest {
@@ -97,6 +126,16 @@ impl CoefficientRequest {
     /// Cancelled.
     pub fn fill(&self, cancelled: IsCancelled<'_>) -> Result<CoefficientTable, WarpError> {
         CoefficientTable::of_grid(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled)
+    }
+
+    /// How many numbers the table has.
+    #[must_use]
+    pub fn count(&self) -> CoefficientCount {
+        CoefficientCount {
+            vertices: self.grid.len() as u64,
+            planes: self.planes() as u64,
+            members: self.members_len() as u64,
+        }
     }
 
     /// The lattice.

@@ -54,7 +54,7 @@ mod work;
 
 pub use self::alignment::Alignment;
 pub use self::batch::{Easing, Jitter, jitter_grid};
-pub use self::coefficient_request::CoefficientRequest;
+pub use self::coefficient_request::{CoefficientCount, CoefficientRequest};
 pub use self::compact::CompactLattice;
 pub use self::compiled_rest::CompiledRest;
 #[cfg(feature = "codec")]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use mlswarp::warp::{CoefficientRequest, Digest, WarpError};
+use mlswarp::warp::{CoefficientCount, CoefficientRequest, Digest, WarpError};
 
 use super::App;
 use super::session_warp::newest_setup;
@@ -63,6 +63,11 @@ pub(crate) async fn of_session(
             content: PlanContent::Known,
         });
     }
+    // Its length does not depend on the system of a spline, and a mask is read with the setup.
+    if !with_content && !record.rest.needs_mask() {
+        let content = length(app, client, record, query).await?;
+        return Ok(PlanFile { etag, content });
+    }
     let (newest, setup) = newest_setup(app, client, Arc::clone(&record)).await?;
     let etag = if newest.revision == record.revision {
         etag
@@ -89,10 +94,7 @@ pub(crate) async fn of_session(
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
         let table =
             CoefficientRequest::new(&setup, columns, rows, &app.plans.limits).map_err(in_query)?;
-        let bytes = plan_file_bytes(&table, precision);
-        if bytes > MAX_FILE_BYTES {
-            return Err(too_large(bytes));
-        }
+        let bytes = file_bytes(table.count(), precision)?;
         if !with_content {
             return Ok(PlanContent::Length(bytes));
         }
@@ -113,6 +115,33 @@ pub(crate) async fn of_session(
     };
     let content = ticket.run(fill).await??;
     Ok(PlanFile { etag, content })
+}
+
+/// The length of the file of a session whose handles need no mask.
+async fn length(
+    app: &App,
+    client: Client,
+    record: Arc<Record>,
+    query: PlanQuery,
+) -> Result<PlanContent, Problem> {
+    let key = QueueKey::session(client, record.id);
+    let (ticket, app) = (app.admission.upload(key).await?, app.clone());
+    let count = move |cancel: &Cancel| {
+        let (of, limits) = ((&*record.rest, record.extent), &app.plans.limits);
+        let _held = app.plans.reserve_unsolved(&record.rest)?;
+        let is_cancelled = || cancel.is_cancelled();
+        let count = CoefficientCount::new(of, query.columns, query.rows, limits, &is_cancelled);
+        file_bytes(count.map_err(in_query)?, query.precision)
+    };
+    ticket.run(count).await?.map(PlanContent::Length)
+}
+
+/// Errors: A longer file than one may be.
+fn file_bytes(count: CoefficientCount, precision: Precision) -> Result<u64, Problem> {
+    match plan_file_bytes(count, precision) {
+        bytes if bytes > MAX_FILE_BYTES => Err(too_large(bytes)),
+        bytes => Ok(bytes),
+    }
 }
 
 /// The digest of the request and the build.

@@ -15,7 +15,7 @@ use crate::app::MIN_WEIGHT;
 use crate::app::drawable::DrawnContent;
 use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
 use crate::client::{Client, Owner};
-use crate::limits::memory::MemoryClass;
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket};
@@ -60,9 +60,8 @@ impl Plans {
         cancel: &Cancel,
     ) -> Result<CacheEntry<ResolvedRest>, Problem> {
         let is_cancelled = || cancel.is_cancelled();
-        // A few copies of each column's position and weight.
-        let of_handles = 1024 + 256 * columns_of(rest);
-        let mut held = self.admission.reserve(MemoryClass::Plan, of_handles)?;
+        let mut held = self.reserve_unsolved(rest)?;
+        let of_handles = held.bytes();
         let with_mask = match content.and_then(DrawnContent::shape) {
             Some((image, region)) if rest.needs_mask() => {
                 let threshold = rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
@@ -89,6 +88,13 @@ impl Plans {
         self.admission
             .reserve_more(&mut held, setup.order_bytes())?;
         Ok(CacheEntry::new(setup, held))
+    }
+
+    /// Reserves the memory in which rest handles are resolved without the system of a spline.
+    pub(crate) fn reserve_unsolved(&self, rest: &RestSpec) -> Result<Reservation, Problem> {
+        // A few copies of each column's position and weight.
+        let bytes = 1024 + 256 * columns_of(rest);
+        self.admission.reserve(MemoryClass::Plan, bytes)
     }
 
     /// The setup of rest handles that differ from those of a record in their depths alone, if that
