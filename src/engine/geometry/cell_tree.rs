@@ -125,6 +125,19 @@ impl CellTree {
         Some(Self { levels })
     }
 
+    /// Upper bound of the memory of a tree, bytes.
+    #[must_use]
+    pub fn bytes_for(mesh: &Mesh) -> u64 {
+        let per_box = size_of::<Bounds>() + mesh.order().map_or(0, |_| size_of::<u32>());
+        let (mut columns, mut rows) = (mesh.grid().columns() - 1, mesh.grid().rows() - 1);
+        let mut boxes = 1;
+        while columns > 1 || rows > 1 {
+            boxes += u64::from(columns) * u64::from(rows);
+            (columns, rows) = (columns.div_ceil(2), rows.div_ceil(2));
+        }
+        boxes * per_box as u64
+    }
+
     /// Indices of the cells, row by row, whose boxes contain a position or are at most `margin` px
     /// from it along each axis; the last cell first, as it is drawn over the others, and no more
     /// than `most`. `look` is called for each box that is looked at, and ends the search by
@@ -362,6 +375,28 @@ mod tests {
         let want: Vec<usize> = (cells - 32..cells).rev().collect();
         assert_eq!(found.continue_value().unwrap(), want);
         assert!(boxes < 400, "{boxes} of {cells}");
+    }
+
+    #[test]
+    fn the_memory_of_a_tree_is_known_before() {
+        for (columns, rows) in [(2, 2), (2, 9), (17, 5), (40, 33)] {
+            let grid = Grid::with_counts(100.0, 80.0, columns, rows);
+            let depth = [1.0, 3.0, 2.0].into_iter().cycle().take(grid.len());
+            let depth: Vec<f32> = depth.collect();
+            let order = DrawingOrder::of_grid(&grid, &depth, &|| false).flatten();
+            let mesh = Mesh::new(grid, vec![[0.0; 2]; grid.len()]);
+            for mesh in [mesh.clone(), mesh.in_order(order.map(Arc::new))] {
+                let of_level = |level: &TreeLevel| {
+                    size_of_val(&level.boxes[..]) + size_of_val(&level.ranks[..])
+                };
+                let bytes: usize = CellTree::new(&mesh).levels.iter().map(of_level).sum();
+                assert_eq!(
+                    CellTree::bytes_for(&mesh),
+                    bytes as u64,
+                    "{columns} x {rows}"
+                );
+            }
+        }
     }
 
     #[test]

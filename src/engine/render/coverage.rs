@@ -5,6 +5,7 @@
 //! a pixel, the area is summed over slices of 1/16 px.
 
 use std::ops::{ControlFlow, Range};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::canvas::Canvas;
 use super::inverse_map::InverseMap;
@@ -27,10 +28,17 @@ const MAX_TRIANGLES: usize = 4096;
 pub struct Coverage {
     inverse: InverseMap,
     mesh: Mesh,
-    tree: CellTree,
     /// Where the canvas begins, and target px per px.
     origin: Point,
     scale: [f64; 2],
+    /// Made for the first rows, as that can be cancelled.
+    search: Mutex<Option<Arc<CellSearch>>>,
+}
+
+/// Where the posed cells are.
+#[derive(Debug)]
+struct CellSearch {
+    tree: CellTree,
     /// Px of the target.
     outlines: Vec<[Point; 2]>,
 }
@@ -47,16 +55,26 @@ impl Coverage {
             f64::from(target.width()) / (right - x),
             f64::from(target.height()) / (bottom - y),
         ];
-        let mut this = Self {
+        Self {
             inverse: InverseMap::new(mesh, target, canvas),
-            tree: CellTree::new(mesh),
             mesh: mesh.clone(),
             origin: Point::new(x, y),
             scale,
-            outlines: Vec::new(),
-        };
-        this.outlines = this.outlines();
-        this
+            search: Mutex::new(None),
+        }
+    }
+
+    /// `None` when cancelled, which is asked for each row of the grid.
+    fn search(&self, cancelled: &dyn Fn() -> bool) -> Option<Arc<CellSearch>> {
+        let mut search = self.search.lock().unwrap_or_else(PoisonError::into_inner);
+        if search.is_none() {
+            let (tree, outlines) = (
+                CellTree::unless(&self.mesh, cancelled)?,
+                self.outlines(cancelled)?,
+            );
+            *search = Some(Arc::new(CellSearch { tree, outlines }));
+        }
+        search.clone()
     }
 
     /// Upper bound of the memory beside that of drawing an image, bytes.
@@ -86,6 +104,9 @@ impl Coverage {
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
     pub fn rows(&self, rows: Range<u32>, out: &mut [u8], cancelled: &dyn Fn() -> bool) {
+        let Some(search) = self.search(cancelled) else {
+            return;
+        };
         let mut positions = vec![[0.0; 2]; out.len()];
         self.inverse.rows(rows.clone(), &mut positions, cancelled);
         for (out, [u, _]) in out.iter_mut().zip(&positions) {
@@ -94,14 +115,14 @@ impl Coverage {
         let width = self.target().width();
         let mut is_measured = vec![false; out.len()];
         let mut triangles = Vec::new();
-        for outline in &self.outlines {
+        for outline in &search.outlines {
             if cancelled() {
                 return;
             }
             pixels_near(outline, &rows, width, |x, y| {
                 let index = (y - rows.start) as usize * width as usize + x as usize;
                 if !std::mem::replace(&mut is_measured[index], true)
-                    && let Some(share) = self.share(x, y, &mut triangles)
+                    && let Some(share) = self.share(&search.tree, [x, y], &mut triangles)
                 {
                     #[expect(
                         clippy::cast_possible_truncation,
@@ -116,7 +137,12 @@ impl Coverage {
     }
 
     /// The covered share of a pixel; `None` if too many triangles are in it.
-    fn share(&self, x: u32, y: u32, triangles: &mut Vec<[Point; 3]>) -> Option<f64> {
+    fn share(
+        &self,
+        tree: &CellTree,
+        [x, y]: [u32; 2],
+        triangles: &mut Vec<[Point; 3]>,
+    ) -> Option<f64> {
         triangles.clear();
         let corner = |x: f64, y: f64| {
             Point::new(
@@ -129,7 +155,7 @@ impl Coverage {
             corner(f64::from(x) + 1.0, f64::from(y) + 1.0),
         );
         let mut is_covered = false;
-        let _ = self.tree.visit([from.x, from.y, to.x, to.y], &mut |cell| {
+        let _ = tree.visit([from.x, from.y, to.x, to.y], &mut |cell| {
             self.quads(cell, |quad| {
                 for triangle in halves(
                     quad.map(|p| self.on_target(p) - Point::new(x.into(), y.into()))
@@ -199,17 +225,20 @@ impl Coverage {
     }
 
     /// The border of the posed image, and the sides and diagonals of folded cells, px of the
-    /// target.
-    fn outlines(&self) -> Vec<[Point; 2]> {
+    /// target; `None` when cancelled.
+    fn outlines(&self, cancelled: &dyn Fn() -> bool) -> Option<Vec<[Point; 2]>> {
         let mut lines = Vec::new();
         let mut add = |a: Point, b: Point| {
             if a != b {
                 lines.push([self.on_target(a), self.on_target(b)]);
             }
         };
-        let orientation = self.mesh.folding(&|| false).unwrap_or_default().orientation;
+        let orientation = self.mesh.folding(cancelled)?.orientation;
         let (columns, rows) = (self.mesh.grid().columns() - 1, self.mesh.grid().rows() - 1);
         for j in 0..rows {
+            if cancelled() {
+                return None;
+            }
             for i in 0..columns {
                 let on_border = [j == 0, i + 1 == columns, j + 1 == rows, i == 0];
                 self.quads(
@@ -249,7 +278,7 @@ impl Coverage {
                 }
             }
         }
-        lines
+        Some(lines)
     }
 }
 
@@ -387,4 +416,31 @@ fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
         .map(|pair| slab(pair[0], pair[1], &mut length))
         .sum::<f64>()
         .clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+    use crate::geometry::Grid;
+
+    #[test]
+    fn a_search_that_nobody_wants_is_not_made() {
+        let grid = Grid::with_counts(100.0, 80.0, 40, 30);
+        let displacement = vec![[0.5, 0.0]; grid.len()];
+        let (mesh, target) = (Mesh::new(grid, displacement), Extent::new(100, 80).unwrap());
+        let questions = Cell::new(0_u32);
+        let mut row = vec![0; 100];
+        let coverage = Coverage::new(&mesh, target, None);
+        let count = || questions.replace(questions.get() + 1) == u32::MAX;
+        assert!(coverage.search(&count).is_some() && questions.get() > 2 * 29);
+        for most in 0..questions.get() {
+            let coverage = Coverage::new(&mesh, target, None);
+            let left = Cell::new(most);
+            let cancelled = || left.replace(left.get().saturating_sub(1)) == 0;
+            coverage.rows(0..1, &mut row, &cancelled);
+            assert!(coverage.search.lock().unwrap().is_none(), "{most}");
+        }
+    }
 }

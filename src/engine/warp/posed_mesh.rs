@@ -12,7 +12,7 @@ use super::{
 #[cfg(feature = "codec")]
 use super::{OutputSpec, RasterSource, Target};
 use crate::deform::{self, Conflict, IsCancelled, Pose, PosedMap, RestDeformation};
-use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
+use crate::geometry::{CellTree, Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::{Canvas, Outside};
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -60,6 +60,8 @@ pub struct PosedMesh {
     region: Option<Region>,
     /// What the mesh follows from, if its folds were removed.
     unfolded: Option<Arc<Unfolded>>,
+    /// Where inverses seek the cells of positions.
+    tree: Option<Arc<CellTree>>,
 }
 
 impl PosedMesh {
@@ -181,6 +183,7 @@ impl PosedMesh {
             exceeded: Vec::new(),
             region: None,
             unfolded,
+            tree: None,
         })
     }
 
@@ -256,6 +259,26 @@ impl PosedMesh {
             return unfolded.keep_factors(cancelled).ok_or(WarpError::Cancelled);
         }
         Ok(())
+    }
+
+    /// Memory of what [`PosedMesh::keep_tree`] prepares, bytes.
+    #[must_use]
+    pub fn tree_bytes(&self) -> u64 {
+        CellTree::bytes_for(&self.mesh)
+    }
+
+    /// Prepares several inverses of this pose: without this each makes its own tree of cells.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn keep_tree(&mut self, cancelled: IsCancelled<'_>) -> Result<(), WarpError> {
+        let tree = CellTree::unless(&self.mesh, cancelled).ok_or(WarpError::Cancelled)?;
+        self.tree = Some(Arc::new(tree));
+        Ok(())
+    }
+
+    pub(super) const fn tree(&self) -> Option<&Arc<CellTree>> {
+        self.tree.as_ref()
     }
 
     /// Memory of the cells that are halved, and of the map if folds were removed, bytes.

@@ -265,6 +265,16 @@ pub(crate) async fn of_session(
     map_points(app, &ticket, job).await
 }
 
+/// Makes the tree in which an inverse seeks, once for all parts.
+fn keep_tree(
+    admission: &Admission,
+    (posed, held): &mut (PosedMesh, Reservation),
+    cancel: &Cancel,
+) -> Result<(), Problem> {
+    admission.reserve_more(held, posed.tree_bytes())?;
+    Ok(posed.keep_tree(&|| cancel.is_cancelled())?)
+}
+
 /// Finds the image, and maps the first part.
 async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
     let PointsJob {
@@ -278,10 +288,8 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
         is_long,
         key,
     } = job;
-    let plan = async |setup: &HeldSetup| {
-        let timing = Timing::default();
-        app.plans.plan(client, ticket, setup, timing).await
-    };
+    let plan =
+        async |setup: &HeldSetup| (app.plans.plan(client, ticket, setup, Timing::default())).await;
     let drawn = match PointsJob::needs_grid(&object, folds) {
         true => Some(plan(&setup).await?),
         false => None,
@@ -290,10 +298,8 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
         true => Some(plan(&app.plans.to_invert(ticket, &setup).await?).await?),
         false => None,
     };
-    let (drawing, quota) = (
-        Arc::clone(&app.drawing),
-        app.admission.response_quota(client),
-    );
+    let drawing = Arc::clone(&app.drawing);
+    let quota = app.admission.response_quota(client);
     let prepare = move |cancel: &Cancel| {
         let (
             PointsObject {
@@ -337,7 +343,10 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
             let coarse = || PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
             drawing.reserve_and_pose(&setup, &quota, (Folds::Report, true), coarse)
         });
-        let posed = unfolded.map_or_else(|| posed.transpose(), |posed| Ok(Some(posed)))?;
+        let mut posed = unfolded.map_or_else(|| posed.transpose(), |posed| Ok(Some(posed)))?;
+        if let Some(posed) = posed.as_mut().filter(|_| annotations.is_inverse) {
+            keep_tree(&drawing.admission, posed, cancel)?;
+        }
         let is_long = is_long || posed.is_some();
         let job = Arc::new(MappingJob {
             setup,

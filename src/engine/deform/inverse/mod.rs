@@ -149,6 +149,15 @@ impl<'a> Inverse<'a> {
         }
     }
 
+    /// The same inverse, which seeks in a tree of its mesh that is there already.
+    #[must_use]
+    pub fn seeking_in(self, tree: Option<Arc<CellTree>>) -> Self {
+        Self {
+            tree: Mutex::new(tree),
+            ..self
+        }
+    }
+
     /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture
     /// is posed. If several rest positions have the same posed one, that of the cell that is drawn.
     /// `None` for all when cancelled, which is checked for each step of a search and for each

@@ -77,6 +77,7 @@ impl ResolvedRest {
         } else {
             Inverse::new(self.field(), pose, mesh)
         };
+        let inverse = inverse.seeking_in(posed.tree().cloned());
         Transform::new(PositionMap::Inverse(inverse), self)
     }
 }

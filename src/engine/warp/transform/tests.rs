@@ -1,3 +1,5 @@
+use std::sync::atomic::Ordering;
+
 use super::outlines::to_segment;
 use super::*;
 use crate::deform::Handle;
@@ -250,6 +252,29 @@ fn the_inverse_is_found_whatever_size_the_cells_have() {
             );
         }
     }
+}
+
+/// Positions that are mapped part by part have one inverse for each part.
+#[test]
+fn inverses_of_one_pose_share_its_tree() {
+    let (setup, q) = set(1.0);
+    let (pose, plan) = (setup.pose(&q).unwrap(), setup.plan(NEVER).unwrap());
+    let posed = PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, NEVER);
+    let mut posed = posed.unwrap();
+    let inverse = |posed: &PosedMesh| {
+        let questions = AtomicUsize::new(0);
+        let count = || questions.fetch_add(1, Ordering::Relaxed) == usize::MAX;
+        let found = setup.inverse(&pose, posed);
+        let found = found.map(&[Point::new(100.0, 90.0)], &count).unwrap();
+        (questions.into_inner(), found)
+    };
+    let (alone, found) = inverse(&posed);
+    posed.keep_tree(NEVER).unwrap();
+    let (kept, again) = inverse(&posed);
+    // A tree asks for each row of the grid.
+    let rows = posed.mesh().grid().rows() as usize - 1;
+    assert!(kept + rows <= alone && found == again, "{kept}, {alone}");
+    assert!(posed.tree_bytes() > 0 && posed.keep_tree(&|| true).is_err());
 }
 
 #[test]
