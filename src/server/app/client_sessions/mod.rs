@@ -11,6 +11,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use lru::LruCache;
 use mlswarp::warp::Digest;
 
 use crate::client::Tenant;
@@ -36,9 +37,10 @@ struct Shared {
     counted: Mutex<Counted>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Counted {
-    sessions: HashMap<SessionId, CountedSession>,
+    /// In the order in which they were used: those that expire first are at the end.
+    sessions: LruCache<SessionId, CountedSession>,
     totals: HashMap<Tenant, Total>,
     claims: u64,
 }
@@ -77,6 +79,16 @@ fn sized(file: &NamedFile) -> (Digest, u64) {
     (file.digest, file.bytes.len() as u64)
 }
 
+impl Default for Counted {
+    fn default() -> Self {
+        Self {
+            sessions: LruCache::unbounded(),
+            totals: HashMap::default(),
+            claims: 0,
+        }
+    }
+}
+
 impl Counted {
     fn add(&mut self, id: SessionId, session: CountedSession) {
         let total = self.totals.entry(session.tenant).or_default();
@@ -87,11 +99,11 @@ impl Counted {
             *names += 1;
             total.bytes += if *names == 1 { *len } else { 0 };
         }
-        self.sessions.insert(id, session);
+        self.sessions.put(id, session);
     }
 
     fn remove(&mut self, id: SessionId) -> Option<CountedSession> {
-        let session = self.sessions.remove(&id)?;
+        let session = self.sessions.pop(&id)?;
         if let Some(total) = self.totals.get_mut(&session.tenant) {
             total.sessions -= 1;
             total.bytes -= session.record;
@@ -113,13 +125,13 @@ impl Counted {
     }
 
     fn sweep(&mut self, idle: Duration) {
-        let expired: Vec<SessionId> = self
-            .sessions
-            .iter()
-            .filter(|(_, session)| session.used.elapsed() >= idle)
-            .map(|(id, _)| *id)
-            .collect();
-        for id in expired {
+        // One that a claim has put back lies before others that were used later: it waits for them.
+        let is_over = |(_, session): (&SessionId, &CountedSession)| session.used.elapsed() >= idle;
+        let oldest = |sessions: &LruCache<_, _>| {
+            let oldest = sessions.peek_lru().filter(|oldest| is_over(*oldest));
+            oldest.map(|(id, _)| *id)
+        };
+        while let Some(id) = oldest(&self.sessions) {
             self.remove(id);
         }
     }
@@ -128,7 +140,7 @@ impl Counted {
     fn restore(&mut self, Claim { id, number, before }: Claim) {
         if self
             .sessions
-            .get(&id)
+            .peek(&id)
             .is_some_and(|session| session.claim == number)
         {
             self.remove(id);
@@ -320,7 +332,7 @@ impl ClientSessions {
         if let Some(session) = self
             .lock()
             .sessions
-            .get_mut(&claim.id)
+            .peek_mut(&claim.id)
             .filter(|session| session.claim == claim.number)
         {
             session.is_pending = false;
@@ -333,7 +345,7 @@ impl ClientSessions {
         if let Some(before) = &claim.before
             && counted
                 .sessions
-                .get(&claim.id)
+                .peek(&claim.id)
                 .is_some_and(|session| session.claim == claim.number)
             && let Some(session) = counted.remove(claim.id)
         {
@@ -364,7 +376,7 @@ impl ClientSessions {
 
     /// The number of the claim that counted the session, for [`ClientSessions::ended`].
     pub fn claim_of(&self, id: SessionId) -> Option<u64> {
-        self.lock().sessions.get(&id).map(|session| session.claim)
+        self.lock().sessions.peek(&id).map(|session| session.claim)
     }
 
     /// The session with this claim has ended. A session that has been stored since with the same
@@ -373,7 +385,7 @@ impl ClientSessions {
         let mut counted = self.lock();
         if counted
             .sessions
-            .get(&id)
+            .peek(&id)
             .is_some_and(|session| Some(session.claim) == claim && !session.is_pending)
         {
             counted.remove(id);

@@ -287,7 +287,7 @@ impl FileStoreState {
 
     /// Removes what has expired, and writes new numbers.
     fn sweep(&self, written: &mut Numbers) -> Result<usize, StoreError> {
-        let expired = self.index().expired();
+        let expired = self.index().expired(usize::MAX);
         if !expired.is_empty() {
             self.remove(&expired, written)?;
         }

@@ -115,7 +115,8 @@ impl Index {
     /// `kept`.
     pub(crate) fn freed(&self, gone: &[SessionId], kept: &[Digest]) -> Vec<Digest> {
         let mut fewer: HashMap<(Owner, Digest), usize> = HashMap::new();
-        for (id, entry) in gone.iter().filter_map(|id| self.sessions.get_key_value(id)) {
+        let entry = |id| self.sessions.peek(id).map(|entry| (id, entry));
+        for (id, entry) in gone.iter().filter_map(entry) {
             for digest in &entry.files {
                 *fewer.entry((id.owner(), *digest)).or_default() += 1;
             }

@@ -3,7 +3,7 @@
 //!
 //! A full index refuses new sessions and never drops a living one. A change is checked first
 //! (`check_*`), which changes nothing, and then applied, which cannot fail: in between a store
-//! writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
+//! writes to its disk. Operations are a few map accesses; a sweep visits what has expired.
 
 mod files;
 #[cfg(test)]
@@ -28,7 +28,8 @@ pub(crate) struct Index {
     bounds: StoreLimits,
     /// The files' contents are kept here. Otherwise only their sizes are.
     keeps_contents: bool,
-    sessions: HashMap<SessionId, Entry>,
+    /// In the order in which they were used: those that expire first are at the end.
+    sessions: LruCache<SessionId, Entry>,
     /// The files of each owner.
     files: HashMap<(Owner, Digest), IndexedFile>,
     /// How many owners have each file.
@@ -76,8 +77,8 @@ pub(crate) enum PutOutcome {
 
 impl Index {
     pub(crate) fn new(bounds: StoreLimits, keeps_contents: bool) -> Self {
-        let (sessions, files, owners) = Default::default();
-        let tombstones = LruCache::unbounded();
+        let (files, owners) = Default::default();
+        let (sessions, tombstones) = (LruCache::unbounded(), LruCache::unbounded());
         Self {
             bounds,
             keeps_contents,
@@ -113,7 +114,7 @@ impl Index {
 
     /// The living session, or why it does not exist.
     fn living(&self, id: SessionId) -> Result<(&Entry, &Arc<Record>), StoreError> {
-        let until = match self.sessions.get(&id) {
+        let until = match self.sessions.peek(&id) {
             Some(entry) => {
                 let record = entry.record.as_ref().ok_or(StoreError::OtherVersion)?;
                 if !self.left(entry).is_zero() {
@@ -162,7 +163,7 @@ impl Index {
             Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
             Err(_) => PutOutcome::Create,
         };
-        let old = self.sessions.get(&record.id);
+        let old = self.sessions.peek(&record.id);
         let sessions = self.len() + usize::from(old.is_none());
         if sessions > self.bounds.sessions {
             return Err(StoreError::Full {
@@ -210,7 +211,12 @@ impl Index {
             .iter()
             .for_each(|file| self.name_file(owner, file.digest, file.len(), &file.bytes));
         let old = self.insert(Arc::clone(&record), None);
-        let session = self.session(&self.sessions[&record.id], &record);
+        let expires = SystemTime::now() + self.bounds.idle;
+        let session = Session {
+            record,
+            seq: None,
+            expires,
+        };
         match old {
             Some(old) if outcome == PutOutcome::Replace => Put::Replaced(session, old),
             _ => Put::Created(session),
@@ -224,7 +230,7 @@ impl Index {
         let bytes = record_bytes(&record);
         self.bytes += bytes;
         let (id, files) = (record.id, record.files().collect());
-        self.sessions.insert(
+        self.sessions.put(
             id,
             Entry {
                 record: Some(record),
@@ -254,7 +260,7 @@ impl Index {
         }
         self.bytes += bytes;
         let files = files.iter().map(|(digest, _)| *digest).collect();
-        self.sessions.insert(
+        self.sessions.put(
             id,
             Entry {
                 record: None,
@@ -333,7 +339,7 @@ impl Index {
 
     /// Removes a session without a trace.
     pub(crate) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
-        let entry = self.sessions.remove(&id)?;
+        let entry = self.sessions.pop(&id)?;
         self.bytes -= entry.bytes;
         entry
             .files
@@ -342,23 +348,20 @@ impl Index {
         entry.record
     }
 
-    /// Sessions that have expired and are not swept yet, the oldest first.
-    pub(crate) fn expired(&self) -> Vec<SessionId> {
-        let is_over = |entry: &Entry| entry.record.is_some() && self.left(entry).is_zero();
-        let mut expired: Vec<_> = self
-            .sessions
-            .iter()
-            .filter(|(_, entry)| is_over(entry))
-            .map(|(id, entry)| (entry.used, *id))
-            .collect();
-        expired.sort_unstable();
-        expired.into_iter().map(|(_, id)| id).collect()
+    /// At most so many sessions that have expired and are not swept yet, the oldest first.
+    pub(crate) fn expired(&self, most: usize) -> Vec<SessionId> {
+        let oldest = self.sessions.iter().rev();
+        // Those of another version do not expire.
+        let can_expire = oldest.filter(|(_, entry)| entry.record.is_some());
+        let expired = can_expire.take_while(|(_, entry)| self.left(entry).is_zero());
+        expired.take(most).map(|(id, _)| *id).collect()
     }
 
-    /// Removes expired sessions, and tombstones whose time is over.
+    /// Removes expired sessions, and the first tombstones, as far as their time is over: one that
+    /// stays behind a later one says nothing any more.
     pub(crate) fn expire(&mut self, expired: &[SessionId]) {
         for id in expired {
-            let Some(used) = self.sessions.get(id).map(|entry| entry.used) else {
+            let Some(used) = self.sessions.peek(id).map(|entry| entry.used) else {
                 continue;
             };
             self.remove(*id);
@@ -371,7 +374,10 @@ impl Index {
             );
         }
         let now = Instant::now();
-        self.tombstones.retain(|_, tombstone| now < tombstone.until);
+        let is_over = |(_, tombstone): (&SessionId, &Tombstone)| tombstone.until <= now;
+        while self.tombstones.peek_lru().is_some_and(is_over) {
+            self.tombstones.pop_lru();
+        }
     }
 
     fn add_tombstone(&mut self, id: SessionId, tombstone: Tombstone) {
@@ -384,8 +390,8 @@ impl Index {
     /// The records that can be read.
     pub(crate) fn records(&self) -> impl Iterator<Item = &Arc<Record>> {
         self.sessions
-            .values()
-            .filter_map(|entry| entry.record.as_ref())
+            .iter()
+            .filter_map(|(_, entry)| entry.record.as_ref())
     }
 
     /// The highest number of every session that has one.
@@ -402,11 +408,17 @@ impl Index {
         for (id, entry) in &mut self.sessions {
             if let Some(old) = old
                 .sessions
-                .get(id)
+                .peek(id)
                 .filter(|old| created(old) == created(entry))
             {
                 (entry.used, entry.seq) = (old.used, entry.seq.max(old.seq));
             }
+        }
+        let used = self.sessions.iter().map(|(id, entry)| (entry.used, *id));
+        let mut used: Vec<(Instant, SessionId)> = used.collect();
+        used.sort_unstable();
+        for (_, id) in used {
+            self.sessions.promote(&id);
         }
         self.tombstones = old.tombstones;
     }
