@@ -2,6 +2,9 @@
 //! and says the same however it was compressed: all compressions, depths and channels, whole
 //! answers and ones in strips, sizes on either side of where strips begin.
 
+use std::cell::Cell;
+
+use mlswarp::codec::{self, CodecError, ImageLimits, StepCounter};
 use serde_json::json;
 
 use crate::support::Server;
@@ -87,5 +90,65 @@ async fn decoders_agree_on_every_kind_of_answer() {
                 }
             }
         }
+    }
+}
+
+/// Label images whose samples are copied, and a picture of many pixels with a frame of one: both
+/// ask as often as their pixels take time whether they are wanted, and end when they are not.
+#[test]
+fn decoding_asks_for_each_part_of_its_pixels_whether_it_is_wanted() {
+    /// A part of labels, pixels, and of samples that no frame covers.
+    const LABELS: usize = 1 << 17;
+    const SAMPLES: usize = 1 << 23;
+    const SIDES: [usize; 2] = [1200, 4000];
+    let (of_png, samples) = (SIDES[0] as u32, vec![7; 8 * SIDES[0].pow(2)]);
+    let wide = (png::ColorType::Rgba, png::BitDepth::Sixteen);
+    let labels = png_of(of_png, of_png, wide.0, wide.1, &samples);
+    let side = (SIDES[1] as u16).to_le_bytes();
+    let screen = [
+        &b"GIF89a"[..],
+        &side,
+        &side,
+        &[0x80, 0, 0],
+        &[0, 0, 0, 255, 255, 255],
+    ];
+    let frame: [&[u8]; 2] = [
+        &[0x2C, 0, 0, 0, 0, 1, 0, 1, 0, 0],
+        &[2, 2, 0x44, 1, 0, 0x3B],
+    ];
+    let gif = [&screen[..], &frame].concat().concat();
+    let limits = ImageLimits::default();
+    let questions = |read: &dyn Fn(&StepCounter<'_>) -> Result<(), CodecError>, most: usize| {
+        let asked = Cell::new(0);
+        let count = || asked.replace(asked.get() + 1) >= most;
+        let read = read(&StepCounter::new(&count));
+        (asked.get(), read)
+    };
+    let of_labels = |work: &StepCounter<'_>| {
+        let opened = codec::open_labels(&labels, &limits, work)?;
+        opened.decode_labels().map(drop)
+    };
+    let of_samples =
+        |work: &StepCounter<'_>| codec::open(&labels, &limits, work)?.decode().map(drop);
+    let of_gif = |work: &StepCounter<'_>| codec::open(&gif, &limits, work)?.decode().map(drop);
+    let (copied, read) = questions(&of_labels, usize::MAX);
+    let (decoded, _) = questions(&of_samples, usize::MAX);
+    assert!(
+        read.is_ok() && copied >= decoded + SIDES[0].pow(2) / LABELS,
+        "{copied}, {decoded}"
+    );
+    let (asked, read) = questions(&of_gif, usize::MAX);
+    assert!(
+        read.is_ok() && asked >= 4 * SIDES[1].pow(2) / SAMPLES,
+        "{asked} {read:?}"
+    );
+    for ended in [
+        questions(&of_labels, copied - 1),
+        questions(&of_gif, asked - 1),
+    ] {
+        assert!(
+            matches!(ended, (_, Err(CodecError::Cancelled))),
+            "{ended:?}"
+        );
     }
 }
