@@ -7,14 +7,11 @@ use mlswarp::warp::Digest;
 
 use super::index::Index;
 use super::{
-    NamedFile, Put, Record, Session, Store, StoreError, StoreFuture, StoreLimits, StoreStats, ready,
+    NamedFile, Put, Record, SWEPT_AT_ONCE, Session, Store, StoreError, StoreFuture, StoreLimits,
+    StoreStats, in_pieces, ready,
 };
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
-
-/// Sessions that a sweep removes at once: about 0.1 ms. Others may use the store, and their thread,
-/// before it goes on.
-const SWEPT_AT_ONCE: usize = 64;
 
 /// The store in memory.
 #[derive(Debug)]
@@ -33,14 +30,14 @@ impl MemoryStore {
 }
 
 fn put(index: &mut Index, record: Arc<Record>, files: &[NamedFile]) -> Result<Put, StoreError> {
-    let outcome = match index.check_put(&record, files) {
-        Err(StoreError::Full { .. }) => {
-            sweep(index);
-            index.check_put(&record, files)
+    let outcome = loop {
+        match index.check_put(&record, files) {
+            // No more than what makes room.
+            Err(StoreError::Full { .. }) if sweep(index) > 0 => {}
+            checked => break checked?,
         }
-        checked => checked,
     };
-    Ok(index.put(record, files, outcome?))
+    Ok(index.put(record, files, outcome))
 }
 
 fn revise(
@@ -122,17 +119,7 @@ impl Store for MemoryStore {
     }
 
     fn sweep(&self) -> StoreFuture<'_, usize> {
-        Box::pin(async {
-            let mut swept = 0;
-            loop {
-                let now = sweep(&mut self.lock());
-                swept += now;
-                if now < SWEPT_AT_ONCE {
-                    return Ok(swept);
-                }
-                tokio::task::yield_now().await;
-            }
-        })
+        Box::pin(async { Ok(in_pieces(|| sweep(&mut self.lock())).await) })
     }
 
     fn ready(&self) -> StoreFuture<'_, ()> {

@@ -18,7 +18,7 @@ use crate::client::Tenant;
 use crate::limits::client_limit::ClientLimit;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::store::{NamedFile, Record, StoreLimits, record_bytes};
+use crate::store::{NamedFile, Record, SWEPT_AT_ONCE, StoreLimits, record_bytes};
 
 /// Seconds after which a rejected client may retry.
 const RETRY_SECONDS: u32 = 30;
@@ -124,16 +124,22 @@ impl Counted {
         Some(session)
     }
 
-    fn sweep(&mut self, idle: Duration) {
+    /// Removes at most so many expired sessions; returns how many.
+    fn sweep(&mut self, idle: Duration, most: usize) -> usize {
         // One that a claim has put back lies before others that were used later: it waits for them.
         let is_over = |(_, session): (&SessionId, &CountedSession)| session.used.elapsed() >= idle;
         let oldest = |sessions: &LruCache<_, _>| {
             let oldest = sessions.peek_lru().filter(|oldest| is_over(*oldest));
             oldest.map(|(id, _)| *id)
         };
-        while let Some(id) = oldest(&self.sessions) {
+        let mut swept = 0;
+        while swept < most
+            && let Some(id) = oldest(&self.sessions)
+        {
             self.remove(id);
+            swept += 1;
         }
+        swept
     }
 
     /// Undoes a claim, unless another claim has followed, which then says what is stored.
@@ -245,7 +251,7 @@ impl ClientSessions {
     ) -> Result<Claim, Problem> {
         let mut counted = self.lock();
         self.try_change(&mut counted, by, id, &to).or_else(|_| {
-            counted.sweep(self.0.idle);
+            counted.sweep(self.0.idle, usize::MAX);
             self.try_change(&mut counted, by, id, &to)
         })
     }
@@ -392,9 +398,9 @@ impl ClientSessions {
         }
     }
 
-    /// Removes expired sessions.
-    pub fn sweep(&self) {
-        self.lock().sweep(self.0.idle);
+    /// Removes some expired sessions; returns how many.
+    pub(crate) fn sweep(&self) -> usize {
+        self.lock().sweep(self.0.idle, SWEPT_AT_ONCE)
     }
 }
 

@@ -21,7 +21,7 @@ use crate::observe::scope::in_stage;
 use crate::pool::{Cancel, QueueKey};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
-use crate::store::{NamedFile, Put, Record, Session, Store, StoreError};
+use crate::store::{NamedFile, Put, Record, Session, Store, StoreError, in_pieces};
 
 /// Sessions and what belongs to them.
 #[derive(Debug)]
@@ -311,7 +311,7 @@ impl Sessions {
             loop {
                 tokio::time::sleep(pause).await;
                 let Some(store) = store.upgrade() else { return };
-                counted.sweep();
+                in_pieces(|| counted.sweep()).await;
                 match store.sweep().await {
                     Ok(0) => {}
                     Ok(sessions) => tracing::debug!(sessions, "sessions expired"),

@@ -515,7 +515,7 @@ impl Store for RedisStore {
 
     /// Sweeps the cache; the server expires its keys itself.
     fn sweep(&self) -> StoreFuture<'_, usize> {
-        super::ready(Ok(self.0.sessions.sweep()))
+        Box::pin(async { Ok(super::in_pieces(|| self.0.sessions.sweep()).await) })
     }
 
     fn ready(&self) -> StoreFuture<'_, ()> {

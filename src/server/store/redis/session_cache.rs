@@ -9,8 +9,8 @@ use mlswarp::warp::Digest;
 
 use crate::client::Owner;
 use crate::session::SessionId;
-use crate::store::Record;
 use crate::store::index::record_bytes;
+use crate::store::{Record, SWEPT_AT_ONCE};
 
 /// A session as this process knows it.
 pub(crate) struct CachedSession {
@@ -104,21 +104,22 @@ impl SessionCache {
         }
     }
 
-    /// Forgets expired sessions; returns how many.
+    /// Forgets some expired sessions; returns how many. One that was used while the server did not
+    /// confirm it lies before others, and waits for them.
     pub(crate) fn sweep(&self) -> usize {
         let mut state = self.lock();
-        let (before, mut bytes) = (state.sessions.len(), 0);
-        state.sessions.retain(|_, cached| {
-            let is_kept = cached.progress().confirmed.elapsed() < self.idle;
-            bytes += if is_kept {
-                record_bytes(&cached.record)
-            } else {
-                0
-            };
-            is_kept
-        });
-        state.bytes = bytes;
-        before - state.sessions.len()
+        let is_over = |(_, cached): (&SessionId, &Arc<CachedSession>)| {
+            cached.progress().confirmed.elapsed() >= self.idle
+        };
+        let mut swept = 0;
+        while swept < SWEPT_AT_ONCE
+            && state.sessions.peek_lru().is_some_and(is_over)
+            && let Some((_, cached)) = state.sessions.pop_lru()
+        {
+            state.bytes -= record_bytes(&cached.record);
+            swept += 1;
+        }
+        swept
     }
 
     /// Whether a cached session of that owner names that file.
@@ -166,5 +167,9 @@ mod tests {
         brief.learn(Arc::clone(&records[0]), None);
         assert!(brief.get(records[0].id).is_none());
         assert_eq!((brief.sweep(), brief.size()), (1, (0, 0)));
+        for _ in 0..=SWEPT_AT_ONCE {
+            brief.learn(suite::record(1), None);
+        }
+        assert_eq!((brief.sweep(), brief.size()), (SWEPT_AT_ONCE, (1, 512)));
     }
 }
