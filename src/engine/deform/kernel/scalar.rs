@@ -7,6 +7,10 @@ use super::{BlockDisplacements, CoefficientForm, CoefficientLanes, LANES, lanes_
 /// Below this |m| no rotation is better than another (f32).
 const UNDEFINED_ROTATION: f32 = 1e-5;
 
+/// Blocks of real coefficients that are summed together: a sum waits for the one before it, but not
+/// for that of another block.
+const BLOCKS_AT_ONCE: usize = 2;
+
 /// See [`super::displace`].
 #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
 pub(super) fn displace(
@@ -29,8 +33,17 @@ pub(super) fn displace_inline(
     // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops
     // free of a horizontal step.
     let mut least = [1.0f32; LANES];
-    out.reserve(table.len() / lanes_per_block(form, d.len()));
-    for block in table.chunks_exact(lanes_per_block(form, d.len())) {
+    let per_block = lanes_per_block(form, d.len());
+    out.reserve(table.len() / per_block);
+    let several = table.chunks_exact(match form {
+        CoefficientForm::Real => BLOCKS_AT_ONCE * per_block,
+        CoefficientForm::Complex | CoefficientForm::Rigid => usize::MAX,
+    });
+    let rest = several.remainder();
+    for blocks in several {
+        out.extend(affine::<BLOCKS_AT_ONCE>(blocks, d).map(pairs));
+    }
+    for block in rest.chunks_exact(per_block) {
         // Pushed, not stored into zeros: writing the zeros took 5 % of a small table's time.
         out.push(pose(form, block, d, &mut least));
     }
@@ -49,11 +62,18 @@ fn pose(
     d: &[[f32; 2]],
     least: &mut [f32; LANES],
 ) -> BlockDisplacements {
-    let [x, y] = match form {
-        CoefficientForm::Real => affine(block, d),
+    pairs(match form {
+        CoefficientForm::Real => {
+            let [sums] = affine::<1>(block, d);
+            sums
+        }
         CoefficientForm::Complex => similarity(block, d),
         CoefficientForm::Rigid => turn(block, &pull(block, d), least),
-    };
+    })
+}
+
+#[inline(always)]
+fn pairs([x, y]: Pair) -> BlockDisplacements {
     let mut pairs = [[0.0; 2]; LANES];
     for k in 0..LANES {
         pairs[k] = [x[k], y[k]];
@@ -63,16 +83,21 @@ fn pose(
 
 type Pair = [[f32; LANES]; 2];
 
+/// The sums of consecutive blocks.
 #[inline(always)]
-fn affine(block: &[CoefficientLanes], d: &[[f32; 2]]) -> Pair {
-    let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
-    for (CoefficientLanes(c), [dx, dy]) in block.iter().zip(d) {
-        for k in 0..LANES {
-            x[k] += c[k] * dx;
-            y[k] += c[k] * dy;
+fn affine<const BLOCKS: usize>(blocks: &[CoefficientLanes], d: &[[f32; 2]]) -> [Pair; BLOCKS] {
+    let mut sums = [[[0.0; LANES]; 2]; BLOCKS];
+    let blocks: [_; BLOCKS] = std::array::from_fn(|b| &blocks[b * d.len()..][..d.len()]);
+    for (j, [dx, dy]) in d.iter().enumerate() {
+        for (b, [x, y]) in sums.iter_mut().enumerate() {
+            let CoefficientLanes(c) = &blocks[b][j];
+            for k in 0..LANES {
+                x[k] += c[k] * dx;
+                y[k] += c[k] * dy;
+            }
         }
     }
-    [x, y]
+    sums
 }
 
 #[inline(always)]
