@@ -7,10 +7,6 @@ use super::{BlockDisplacements, CoefficientForm, CoefficientLanes, LANES, lanes_
 /// Below this |m| no rotation is better than another (f32).
 const UNDEFINED_ROTATION: f32 = 1e-5;
 
-/// Blocks of real coefficients that are summed together: a sum waits for the one before it, but not
-/// for that of another block.
-const BLOCKS_AT_ONCE: usize = 2;
-
 /// See [`super::displace`].
 #[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
 pub(super) fn displace(
@@ -19,12 +15,13 @@ pub(super) fn displace(
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
-    displace_inline(form, table, d, out)
+    displace_inline::<1>(form, table, d, out)
 }
 
-/// The body, inlined into one function per instruction set.
+/// The body, inlined into one function per instruction set. `TOGETHER` blocks of real coefficients
+/// are summed at once: a sum waits for the one before it, but not for that of another block.
 #[inline(always)]
-pub(super) fn displace_inline(
+pub(super) fn displace_inline<const TOGETHER: usize>(
     form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
@@ -36,12 +33,12 @@ pub(super) fn displace_inline(
     let per_block = lanes_per_block(form, d.len());
     out.reserve(table.len() / per_block);
     let several = table.chunks_exact(match form {
-        CoefficientForm::Real => BLOCKS_AT_ONCE * per_block,
+        CoefficientForm::Real => TOGETHER * per_block,
         CoefficientForm::Complex | CoefficientForm::Rigid => usize::MAX,
     });
     let rest = several.remainder();
     for blocks in several {
-        out.extend(affine::<BLOCKS_AT_ONCE>(blocks, d).map(pairs));
+        out.extend(affine::<TOGETHER>(blocks, d).map(pairs));
     }
     for block in rest.chunks_exact(per_block) {
         // Pushed, not stored into zeros: writing the zeros took 5 % of a small table's time.
