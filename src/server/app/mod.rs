@@ -145,8 +145,8 @@ impl App {
         let of_client =
             |total| ClientLimit::new(clients.client_share.of(total), access.sole_client());
         let (limits, metrics) = (config.limits(), Arc::new(Metrics::default()));
-        let images: Cache<Image> = Cache::new(work.image_cache_bytes);
-        let labels: Cache<LabelImage> = Cache::new(work.image_cache_bytes / LABEL_DIVISOR);
+        let images: Cache<Image> = Cache::new(work.image_cache_bytes());
+        let labels: Cache<LabelImage> = Cache::new(work.image_cache_bytes() / LABEL_DIVISOR);
         let compiled: Cache<CompiledRest> = Cache::new(work.plan_cache_bytes);
         let setups: Cache<ResolvedRest> = Cache::new(work.plan_cache_bytes / SETUP_DIVISOR);
         let texts: Cache<RevisionText> = Cache::new(work.plan_cache_bytes / TEXT_DIVISOR);

@@ -9,6 +9,9 @@ use super::option::{Checked, Maybe, bytes, span, unless, whole};
 
 /// The shortest automatic queue: a drag takes milliseconds, so that even one core serves this many.
 pub(super) const MIN_QUEUE: usize = 64;
+/// Memory for decoded images that `auto` gives at least, bytes: a picture of 24 megapixels with a
+/// mask.
+const MIN_IMAGE_CACHE: u64 = 512 << 20;
 /// Tenths of the available memory that clients may use; the rest is for the program, its stacks,
 /// the allocator and the kernel's buffers.
 const MEMORY_TENTHS: u64 = 6;
@@ -39,9 +42,11 @@ pub struct WorkConfig {
     /// the machine or of the control group.
     #[arg(long, value_name = "SIZE", default_value = "auto", value_parser = Checked(memory_bytes))]
     pub memory_bytes: u64,
-    /// Part of `--memory-bytes` that decoded images may use while no request uses them.
-    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
-    pub image_cache_bytes: u64,
+    /// Part of `--memory-bytes` that decoded images may use while no request uses them. auto = a
+    /// quarter of it, at least 512 MiB.
+    #[arg(long, value_name = "SIZE", default_value = "auto",
+        value_parser = Checked(unless("auto", bytes)))]
+    image_cache_bytes: Maybe<u64>,
     /// Part of `--memory-bytes` that plans may use while no request uses them.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
     pub plan_cache_bytes: u64,
@@ -52,6 +57,13 @@ impl WorkConfig {
     pub fn queue(&self) -> usize {
         self.queue
             .unwrap_or_else(|| (4 * self.workers).max(MIN_QUEUE))
+    }
+
+    /// Memory for decoded images that no request uses. Requests that need
+    /// memory evict them, so a large part costs nobody a refusal.
+    pub fn image_cache_bytes(&self) -> u64 {
+        self.image_cache_bytes
+            .unwrap_or_else(|| (self.memory_bytes / 4).max(MIN_IMAGE_CACHE))
     }
 }
 

@@ -1,5 +1,7 @@
 //! The part of a picture that a region changes, on canvases of all kinds, and what depends on it.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use super::*;
 
 #[test]
@@ -161,6 +163,33 @@ fn a_box_contains_the_cells_that_have_some_of_the_mask() {
                 "{name}: {}, {grid:?}",
                 case.name
             );
+        }
+    }
+}
+
+#[test]
+fn the_pixels_of_a_mask_are_read_for_the_first_pose_only() {
+    // The pixels of a mask are read row by row, each after a look whether anyone still waits.
+    let looks = |region: &Region, posed: &PosedMesh| {
+        let looks = AtomicU32::new(0);
+        region.bounds(posed.mesh(), &|| {
+            looks.fetch_add(1, Ordering::Relaxed);
+            false
+        });
+        looks.into_inner()
+    };
+    let image = HARD.image(Channels::Rgba, Depth::Eight);
+    let region = Region::new(&image);
+    for (case, posed) in cases().iter().map(|case| (case, posed(case))) {
+        let cells = posed.mesh().grid().rows() - 1;
+        let first = looks(
+            &Region::new(&HARD.image(Channels::Rgba, Depth::Eight)),
+            &posed,
+        );
+        assert_eq!(first, SIDE.1 + cells, "{}", case.name);
+        looks(&region, &posed);
+        for region in [&region, &Region::new(&image)] {
+            assert_eq!(looks(region, &posed), cells, "{}", case.name);
         }
     }
 }
