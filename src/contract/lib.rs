@@ -15,6 +15,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod blend;
+#[cfg(feature = "codec")]
 pub mod file;
 pub mod layer;
 pub mod problem;

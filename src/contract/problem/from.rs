@@ -1,8 +1,8 @@
 //! The errors of the engine as problems. The matches have no `_` arm, so a new error does not
 //! compile until it has a code here.
 
-use mlswarp::codec::CodecError;
 use mlswarp::deform::{Conflict, DeformError, NotTaken};
+use mlswarp::format::CodecError;
 use mlswarp::warp::{Task, WarpError};
 use serde_json::{Value, json};
 
@@ -500,7 +500,7 @@ mod tests {
             Some("/grid"),
             None,
         );
-        let format = mlswarp::codec::Format::Jpeg;
+        let format = mlswarp::format::Format::Jpeg;
         expect(
             WarpError::LabelFormat { format },
             Code::BadValue,

@@ -1,8 +1,8 @@
 //! The names of enum values: those of this version, and those that only the contract has. One table
 //! serves reading, writing and the OpenAPI document (tested).
 
-use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::{CoincidentPolicy, METHODS};
+use mlswarp::format::{Compression, Format, Subsampling};
 use mlswarp::render::Filter;
 use mlswarp::warp::blend::BlendSpace;
 use mlswarp::warp::{Align, Easing, Folds, Holes, MapDirection, Method, Metric, Units};

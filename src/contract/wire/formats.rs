@@ -1,7 +1,7 @@
 //! The picture formats that a client accepts. `output.format` decides if it is given, otherwise
 //! `Accept`.
 
-use mlswarp::codec::Format;
+use mlswarp::format::Format;
 
 use super::enum_name::EnumName as _;
 use crate::problem::{Code, Problem};

@@ -2,7 +2,7 @@
 //! those of the session.
 
 use data_encoding::HEXLOWER_PERMISSIVE;
-use mlswarp::codec::{Compression, Format, Subsampling};
+use mlswarp::format::{Compression, Format, Subsampling};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
 use mlswarp::warp::{CanvasSpec, FARTHEST_EDGE_PX, Holes, OutputSpec};

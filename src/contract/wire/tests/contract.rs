@@ -2,7 +2,7 @@
 //! the parsers: what they accept and refuse, the words, the codes.
 
 use jsonschema::{Draft, Validator};
-use mlswarp::codec::{Compression, Format};
+use mlswarp::format::{Compression, Format};
 use mlswarp::render::Filter;
 use mlswarp::warp::{Align, Easing, Holes, MapDirection, Method, Units};
 use proptest::prelude::*;

@@ -12,8 +12,8 @@ mod session;
 mod syntax;
 mod values;
 
-use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::{Coincident, CoincidentPolicy, Parameters};
+use mlswarp::format::{Compression, Format, Subsampling};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
