@@ -201,6 +201,11 @@ pub(super) trait PointMap: CoefficientsOf<1> + CoefficientsOf<LANES> + Send + Sy
         true
     }
 
+    /// Operations for weighing a segment at a position. Moving least squares integrate over it.
+    fn segment_operations(&self) -> u64 {
+        64
+    }
+
     /// Operations for the coefficients of a position, beyond those of weighing each handle once.
     fn operations(&self, _columns: u64) -> u64 {
         0

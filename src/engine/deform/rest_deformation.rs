@@ -364,6 +364,12 @@ impl RestDeformation {
         self.map.layout(self.set.form)
     }
 
+    /// Operations for weighing a segment at a position.
+    #[must_use]
+    pub fn segment_operations(&self) -> u64 {
+        self.map.segment_operations()
+    }
+
     /// Operations for the coefficients of a position, beyond those of weighing each handle once.
     #[must_use]
     pub fn operations(&self) -> u64 {

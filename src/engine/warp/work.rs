@@ -7,9 +7,8 @@ use super::Candidate;
 use super::error::{Task, WarpError};
 use crate::deform::{Handle, RestDeformation};
 
-/// Operations for weighing a point or a segment at a position.
+/// Operations for weighing a point at a position.
 const POINT_OPERATIONS: u64 = 2;
-const SEGMENT_OPERATIONS: u64 = 64;
 /// Coefficients of a table that an operation poses.
 const COEFFICIENTS_PER_OPERATION: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.
@@ -36,7 +35,7 @@ pub(super) const fn at_most(task: Task, limit: u64, actual: u64) -> Result<(), W
 pub(super) fn of_position(field: &RestDeformation) -> u64 {
     let of = |handle: &Handle| match handle {
         Handle::Point(_) => POINT_OPERATIONS,
-        Handle::Polyline(places) => SEGMENT_OPERATIONS * (places.len() as u64 - 1),
+        Handle::Polyline(places) => field.segment_operations() * (places.len() as u64 - 1),
         Handle::Missing => 0,
     };
     1 + field.handles().handles().iter().map(of).sum::<u64>()

@@ -244,6 +244,11 @@ impl PointMap for BeierNeely {
         None
     }
 
+    fn segment_operations(&self) -> u64 {
+        // One distance and one power.
+        5
+    }
+
     fn terms(&self, columns: usize) -> usize {
         TERMS * columns / 2
     }
