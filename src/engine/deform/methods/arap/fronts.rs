@@ -246,15 +246,8 @@ impl<E: MatrixEntry + Acts<X>, X: Unknown> LaneWork for Solution<'_, E, X> {
             }
             let local = gather(order, front, ordered, &mut work.local, false);
             let (own, n) = (front.own.len(), front.len());
-            for j in 0..own {
-                look(j, cancelled)?;
-                let (head, tail) = local.split_at_mut(j + 1);
-                let column = &factor.values[front.values + j * n + j + 1..][..n - j - 1];
-                let x = head[j];
-                for (to, entry) in tail.iter_mut().zip(column) {
-                    *to = *to - entry.act(x);
-                }
-            }
+            let columns = &factor.values[front.values..][..own * n];
+            forwards(columns, local, cancelled)?;
             ordered[front.own.clone()].copy_from_slice(&local[..own]);
             for (place, value) in order.reached[front.reached.clone()]
                 .iter()
@@ -311,6 +304,44 @@ fn gather<'a, X: Unknown>(
 pub(super) struct SolveSpace<X> {
     ordered: Vec<X>,
     local: Vec<X>,
+}
+
+/// Subtracts what the unknowns of a front's columns make of the later ones, `local`. Four columns
+/// at once are read with one pass over these. `None` when cancelled.
+#[inline(always)]
+fn forwards<E: MatrixEntry + Acts<X>, X: Unknown>(
+    columns: &[E],
+    local: &mut [X],
+    cancelled: &dyn Fn() -> bool,
+) -> Option<()> {
+    let n = local.len();
+    let mut four = columns.chunks_exact(4 * n);
+    let mut j = 0;
+    for columns in &mut four {
+        look(j + 3, cancelled)?;
+        let (head, tail) = local[j..].split_at_mut(4);
+        let column = |k: usize| &columns[k * n + j..(k + 1) * n];
+        for k in 0..3 {
+            for row in k + 1..4 {
+                head[row] = head[row] - column(k)[row].act(head[k]);
+            }
+        }
+        let of = |k: usize| &column(k)[4..][..tail.len()];
+        let (a, b, c, d) = (of(0), of(1), of(2), of(3));
+        for i in 0..tail.len() {
+            let to = tail[i] - a[i].act(head[0]) - b[i].act(head[1]);
+            tail[i] = to - c[i].act(head[2]) - d[i].act(head[3]);
+        }
+        j += 4;
+    }
+    for column in four.remainder().chunks_exact(n) {
+        let (head, tail) = local.split_at_mut(j + 1);
+        for (to, entry) in tail.iter_mut().zip(&column[j + 1..]) {
+            *to = *to - entry.act(head[j]);
+        }
+        j += 1;
+    }
+    Some(())
 }
 
 /// `sum conj(column) x`, in four sums.

@@ -10,6 +10,7 @@ mod moved;
 mod part;
 #[cfg(test)]
 mod tests;
+mod turn;
 
 use std::sync::Arc;
 

@@ -2,9 +2,8 @@
 
 use super::held::{Held, MAX_HELD};
 use super::mesh::LatticeMesh;
-use super::part::{
-    KEPT_ANCHORS, OrderedPart, PartCost, QuadAnchor, QuadMesh, QuadShape, RigidPart,
-};
+use super::part::{KEPT_ANCHORS, OrderedPart, PartCost, QuadAnchor, RigidPart};
+use super::turn::{QuadMesh, QuadShape};
 use crate::deform::point_map::MeshInput;
 use crate::deform::{DeformError, MeshQuantity, Warning};
 use crate::geometry::Vec2;

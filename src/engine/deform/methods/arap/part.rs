@@ -3,19 +3,13 @@
 //! possible to itself turned as in the first step. All in displacements, so that the identity is
 //! exact.
 
-#![expect(
-    clippy::needless_range_loop,
-    reason = "loops over corners and triangles are written alike, whatever they index"
-)]
-
 use super::dissection::Dissection;
 use super::fronts::{Factor, MatrixEntry, SolveSpace, eliminate};
+use super::turn::{QuadMesh, Turned};
 use crate::deform::kernel::{LaneWork, run_at};
 use crate::geometry::Vec2;
 use crate::level::SimdLevel;
 
-/// Triangles of a quad that are summed at once.
-const TRIANGLES: usize = 4;
 /// How forces on more anchors than these move the vertices is solved for in each pose, instead of
 /// kept.
 pub(super) const KEPT_ANCHORS: usize = 32;
@@ -23,112 +17,6 @@ pub(super) const KEPT_ANCHORS: usize = 32;
 /// share of it.
 const DEPENDENT_SHARE: f64 = 1e-9;
 const SOFT_SHARE: f64 = 1e-8;
-/// A triangle that the first step makes smaller than this share has no rotation.
-const UNDEFINED_SHARE: f64 = 1e-12;
-
-/// The triangles of a quad at rest.
-#[derive(Clone, Debug)]
-pub(super) struct QuadShape {
-    /// Where each corner is from the centre of each triangle, px, if it belongs to that, else 0.
-    x: [[f64; TRIANGLES]; 4],
-    y: [[f64; TRIANGLES]; 4],
-    /// 1 divided by the sum of the squares of these, for each triangle; 0 without a triangle.
-    per_size: [f64; TRIANGLES],
-    /// The energies of the two steps.
-    similar: [[Vec2; 4]; 4],
-    congruent: [[f64; 4]; 4],
-}
-
-impl QuadShape {
-    /// All triangles of its corners: no direction is preferred.
-    pub(super) const ALL: [[usize; 3]; 4] = [[0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3]];
-
-    /// `triangles`: at most four, of indices of `corners`.
-    pub(super) fn new(corners: [Vec2; 4], triangles: &[[usize; 3]]) -> Self {
-        let mut shape = Self {
-            x: [[0.0; TRIANGLES]; 4],
-            y: [[0.0; TRIANGLES]; 4],
-            per_size: [0.0; TRIANGLES],
-            similar: [[Vec2::ZERO; 4]; 4],
-            congruent: [[0.0; 4]; 4],
-        };
-        for (lane, triangle) in triangles.iter().enumerate() {
-            let z = triangle.map(|k| corners[k]);
-            let centre = (z[0] + z[1] + z[2]) * (1.0 / 3.0);
-            let mut size = 0.0;
-            for k in 0..3 {
-                let offset = z[k] - centre;
-                (shape.x[triangle[k]][lane], shape.y[triangle[k]][lane]) = (offset.x, offset.y);
-                size += offset.norm2();
-            }
-            shape.per_size[lane] = 1.0 / size;
-            for k in 0..3 {
-                let at = [triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]];
-                let [i, j, l] = at.map(|k| corners[k]);
-                let (side, other) = (j - i, l - i);
-                // Where the third corner is, in the frame of the first two.
-                let c = other.complex_mul(side.conj()) * (1.0 / side.norm2());
-                let row = [c - Vec2::new(1.0, 0.0), -c, Vec2::new(1.0, 0.0)];
-                for (a, row_a) in at.iter().zip(row) {
-                    for (b, row_b) in at.iter().zip(row) {
-                        let entry = &mut shape.similar[*a][*b];
-                        *entry += row_a.conj().complex_mul(row_b);
-                    }
-                }
-                for (a, b, sign) in [(0, 0, 1.0), (1, 1, 1.0), (0, 1, -1.0), (1, 0, -1.0)] {
-                    shape.congruent[at[a]][at[b]] += sign;
-                }
-            }
-        }
-        shape
-    }
-
-    /// The pull of the corners towards the triangles that turn as those of displaced corners do,
-    /// and the least share that a triangle keeps of itself.
-    #[inline(always)]
-    fn turn(&self, u: [Vec2; 4]) -> ([Vec2; 4], f64) {
-        let (mut re, mut im) = ([0.0; TRIANGLES], [0.0; TRIANGLES]);
-        for k in 0..4 {
-            for lane in 0..TRIANGLES {
-                let (x, y) = (self.x[k][lane], self.y[k][lane]);
-                re[lane] += x * u[k].x + y * u[k].y;
-                im[lane] += x * u[k].y - y * u[k].x;
-            }
-        }
-        let mut least = [1.0; TRIANGLES];
-        for lane in 0..TRIANGLES {
-            let (x, y) = (
-                re[lane] * self.per_size[lane],
-                im[lane] * self.per_size[lane],
-            );
-            let along = 1.0 + x;
-            let n = (along * along + y * y).sqrt();
-            // (1 + u) / |1 + u| - 1 without cancellation. Both sides of a choice are computed, so
-            // that the lanes are vectors.
-            let (little, much) = (-y * y / (along + n), along - n);
-            let change = if along > 0.0 { little } else { much };
-            let (cos, sin) = (3.0 * change / n, 3.0 * y / n);
-            let is_defined = n >= UNDEFINED_SHARE;
-            re[lane] = if is_defined { cos } else { 0.0 };
-            im[lane] = if is_defined { sin } else { 0.0 };
-            least[lane] = n;
-        }
-        let mut pull = [Vec2::ZERO; 4];
-        for k in 0..4 {
-            let (mut px, mut py) = ([0.0; TRIANGLES], [0.0; TRIANGLES]);
-            for lane in 0..TRIANGLES {
-                let (x, y) = (self.x[k][lane], self.y[k][lane]);
-                px[lane] = re[lane] * x - im[lane] * y;
-                py[lane] = re[lane] * y + im[lane] * x;
-            }
-            pull[k] = Vec2::new(
-                (px[0] + px[1]) + (px[2] + px[3]),
-                (py[0] + py[1]) + (py[2] + py[3]),
-            );
-        }
-        (pull, least[0].min(least[1]).min(least[2].min(least[3])))
-    }
-}
 
 /// A position of the mesh that is held: the weights of the corners of its quad.
 #[derive(Clone, Copy, Debug)]
@@ -152,16 +40,6 @@ impl QuadAnchor {
             to[*vertex as usize] += force * weight;
         }
     }
-}
-
-/// The quads of a part.
-#[derive(Debug)]
-pub(super) struct QuadMesh {
-    pub(super) shapes: Vec<QuadShape>,
-    /// The corners of each quad, and its shape.
-    pub(super) quads: Vec<([u32; 4], u8)>,
-    /// Lines of the lattice on which each vertex lies.
-    pub(super) positions: Vec<[u32; 2]>,
 }
 
 /// A quadratic energy of the vertices, with anchors that are held.
@@ -284,14 +162,13 @@ impl<E: MatrixEntry> HeldEnergy<E> {
         // by one more solution if there are too many to keep.
         match &self.response {
             Some(response) => {
-                for (response, force) in response.chunks_exact(u.len()).zip(by) {
-                    if cancelled() {
-                        return None;
-                    }
-                    for (u, entry) in u.iter_mut().zip(response) {
-                        *u += entry.act(force);
-                    }
-                }
+                let moved = PulledVertices {
+                    response,
+                    forces: &by,
+                    u,
+                    cancelled,
+                };
+                run_at(SimdLevel::detect(), moved)?;
             }
             None => {
                 space.forces.clear();
@@ -305,6 +182,45 @@ impl<E: MatrixEntry> HeldEnergy<E> {
                 u.iter_mut()
                     .zip(&*forces)
                     .for_each(|(u, moved)| *u += *moved);
+            }
+        }
+        Some(())
+    }
+}
+
+/// The vertices, moved further by the forces on the anchors.
+struct PulledVertices<'a, E> {
+    response: &'a [E],
+    forces: &'a [Vec2],
+    u: &'a mut [Vec2],
+    cancelled: &'a dyn Fn() -> bool,
+}
+
+impl<E: MatrixEntry> LaneWork for PulledVertices<'_, E> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn run(self) -> Option<()> {
+        let n = self.u.len();
+        let forces = self.forces.chunks(4);
+        for (response, forces) in self.response.chunks(4 * n).zip(forces) {
+            if (self.cancelled)() {
+                return None;
+            }
+            // Four anchors are read with one pass over the vertices.
+            if let [f0, f1, f2, f3] = *forces {
+                let (a, b) = response.split_at(2 * n);
+                let ((a, b), (c, d)) = (a.split_at(n), b.split_at(n));
+                let entries = a.iter().zip(b).zip(c.iter().zip(d));
+                for (u, ((a, b), (c, d))) in self.u.iter_mut().zip(entries) {
+                    *u = *u + a.act(f0) + b.act(f1) + c.act(f2) + d.act(f3);
+                }
+                continue;
+            }
+            for (response, force) in response.chunks_exact(n).zip(forces) {
+                for (u, entry) in self.u.iter_mut().zip(response) {
+                    *u += entry.act(*force);
+                }
             }
         }
         Some(())
@@ -486,35 +402,5 @@ impl RigidPart {
         self.congruent
             .pull(held, missing, &mut u, space, cancelled)?;
         Some((u, least))
-    }
-}
-
-/// What pulls the vertices towards the triangles that turn as in the first step, and the least
-/// share that one of them keeps of itself.
-struct Turned<'a> {
-    mesh: &'a QuadMesh,
-    similar: &'a [Vec2],
-}
-
-impl LaneWork for Turned<'_> {
-    type Output = (Vec<Vec2>, f64);
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let mut u = vec![Vec2::ZERO; self.similar.len()];
-        let mut least = 1.0_f64;
-        for (vertices, shape) in &self.mesh.quads {
-            let shape = &self.mesh.shapes[usize::from(*shape)];
-            let mut corners = [Vec2::ZERO; 4];
-            for (corner, vertex) in corners.iter_mut().zip(vertices) {
-                *corner = self.similar[*vertex as usize];
-            }
-            let (pull, share) = shape.turn(corners);
-            for (vertex, pull) in vertices.iter().zip(pull) {
-                u[*vertex as usize] += pull;
-            }
-            least = least.min(share);
-        }
-        (u, least)
     }
 }

@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 
-use super::part::{OrderedPart, PoseSpace, QuadAnchor, QuadMesh, QuadShape};
+use super::part::{OrderedPart, PoseSpace, QuadAnchor};
+use super::turn::{QuadMesh, QuadShape};
 use crate::geometry::Vec2;
 
 const NEVER: &dyn Fn() -> bool = &|| false;
