@@ -375,33 +375,65 @@ pub(super) fn eliminate<E: MatrixEntry>(
     diagonal: &mut [f64],
     cancelled: &dyn Fn() -> bool,
 ) -> Option<()> {
-    let mut factors = Vec::with_capacity(own);
-    let mut since = 0;
-    for column in 0..n {
-        if column.is_multiple_of(4) || since >= MULTIPLICATIONS_PER_LOOK {
-            since = 0;
-            if cancelled() {
-                return None;
+    let elimination = Elimination {
+        dense,
+        n,
+        own,
+        diagonal,
+        cancelled,
+    };
+    run_at(SimdLevel::detect(), elimination)
+}
+
+/// The arguments of [`eliminate`].
+struct Elimination<'a, E> {
+    dense: &'a mut [E],
+    n: usize,
+    own: usize,
+    diagonal: &'a mut [f64],
+    cancelled: &'a dyn Fn() -> bool,
+}
+
+impl<E: MatrixEntry> LaneWork for Elimination<'_, E> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn run(self) -> Option<()> {
+        let Self {
+            dense,
+            n,
+            own,
+            diagonal,
+            cancelled,
+        } = self;
+        let mut factors = Vec::with_capacity(own);
+        let mut since = 0;
+        for column in 0..n {
+            if column.is_multiple_of(4) || since >= MULTIPLICATIONS_PER_LOOK {
+                since = 0;
+                if cancelled() {
+                    return None;
+                }
+            }
+            let (before, rest) = dense.split_at_mut(column * n);
+            factors.clear();
+            let eliminated = own.min(column);
+            since += eliminated * (n - column);
+            let of = |k: usize| before[k * n + column].conj() * diagonal[k];
+            factors.extend((0..eliminated).map(of));
+            let target = &mut rest[column..n];
+            if eliminated > 0 {
+                subtract(target, &before[column..], n, &factors);
+            }
+            if column < own {
+                let pivot = target[0].re();
+                diagonal[column] = pivot;
+                let per = 1.0 / pivot;
+                target[1..]
+                    .iter_mut()
+                    .for_each(|value| *value = *value * per);
             }
         }
-        let (before, rest) = dense.split_at_mut(column * n);
-        factors.clear();
-        let eliminated = own.min(column);
-        since += eliminated * (n - column);
-        let of = |k: usize| before[k * n + column].conj() * diagonal[k];
-        factors.extend((0..eliminated).map(of));
-        let target = &mut rest[column..n];
-        if eliminated > 0 {
-            subtract(target, &before[column..], n, &factors);
-        }
-        if column < own {
-            let pivot = target[0].re();
-            diagonal[column] = pivot;
-            let per = 1.0 / pivot;
-            target[1..]
-                .iter_mut()
-                .for_each(|value| *value = *value * per);
-        }
+        Some(())
     }
-    Some(())
 }
