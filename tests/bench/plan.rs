@@ -130,7 +130,13 @@ fn as_rigid_as_possible(report: &mut Report) {
     let (wide, square) = (whole(400, 200), whole(500, 500));
     // No bar for what is computed once for the horse: nobody has named one.
     let scenes = [
-        ("the horse", picture.mask.clone(), horse, 8.0, [0.35, f64::INFINITY]),
+        (
+            "the horse",
+            picture.mask.clone(),
+            horse,
+            8.0,
+            [0.35, f64::INFINITY],
+        ),
         ("a wide picture", wide, points(400, 200), 5.0, [0.35, 10.0]),
         (
             "a whole picture",
