@@ -15,13 +15,14 @@ pub(super) fn displace(
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
-    displace_inline::<1>(form, table, d, out)
+    displace_inline::<false>(form, table, d, out)
 }
 
-/// The body, inlined into one function per instruction set. `TOGETHER` blocks of real coefficients
-/// are summed at once: a sum waits for the one before it, but not for that of another block.
+/// The body, inlined into one function per instruction set. `IN_PAIRS`: two blocks of real
+/// coefficients are summed at once, because a sum waits for the one before it, but not for that of
+/// another block.
 #[inline(always)]
-pub(super) fn displace_inline<const TOGETHER: usize>(
+pub(super) fn displace_inline<const IN_PAIRS: bool>(
     form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
@@ -32,13 +33,16 @@ pub(super) fn displace_inline<const TOGETHER: usize>(
     let mut least = [1.0f32; LANES];
     let per_block = lanes_per_block(form, d.len());
     out.reserve(table.len() / per_block);
-    let several = table.chunks_exact(match form {
-        CoefficientForm::Real => TOGETHER * per_block,
-        CoefficientForm::Complex | CoefficientForm::Rigid => usize::MAX,
-    });
-    let rest = several.remainder();
-    for blocks in several {
-        out.extend(affine::<TOGETHER>(blocks, d).map(pairs));
+    let mut rest = table;
+    if IN_PAIRS && form == CoefficientForm::Real {
+        let pairs_of_blocks = table.chunks_exact(2 * per_block);
+        rest = pairs_of_blocks.remainder();
+        for blocks in pairs_of_blocks {
+            let (first, second) = blocks.split_at(per_block);
+            let [first, second] = two_affine(first, second, d);
+            out.push(pairs(&first));
+            out.push(pairs(&second));
+        }
     }
     for block in rest.chunks_exact(per_block) {
         // Pushed, not stored into zeros: writing the zeros took 5 % of a small table's time.
@@ -59,18 +63,15 @@ fn pose(
     d: &[[f32; 2]],
     least: &mut [f32; LANES],
 ) -> BlockDisplacements {
-    pairs(match form {
-        CoefficientForm::Real => {
-            let [sums] = affine::<1>(block, d);
-            sums
-        }
+    pairs(&match form {
+        CoefficientForm::Real => affine(block, d),
         CoefficientForm::Complex => similarity(block, d),
         CoefficientForm::Rigid => turn(block, &pull(block, d), least),
     })
 }
 
 #[inline(always)]
-fn pairs([x, y]: Pair) -> BlockDisplacements {
+fn pairs([x, y]: &Pair) -> BlockDisplacements {
     let mut pairs = [[0.0; 2]; LANES];
     for k in 0..LANES {
         pairs[k] = [x[k], y[k]];
@@ -80,21 +81,39 @@ fn pairs([x, y]: Pair) -> BlockDisplacements {
 
 type Pair = [[f32; LANES]; 2];
 
-/// The sums of consecutive blocks.
 #[inline(always)]
-fn affine<const BLOCKS: usize>(blocks: &[CoefficientLanes], d: &[[f32; 2]]) -> [Pair; BLOCKS] {
-    let mut sums = [[[0.0; LANES]; 2]; BLOCKS];
-    let blocks: [_; BLOCKS] = std::array::from_fn(|b| &blocks[b * d.len()..][..d.len()]);
-    for (j, [dx, dy]) in d.iter().enumerate() {
-        for (b, [x, y]) in sums.iter_mut().enumerate() {
-            let CoefficientLanes(c) = &blocks[b][j];
-            for k in 0..LANES {
-                x[k] += c[k] * dx;
-                y[k] += c[k] * dy;
-            }
+fn affine(block: &[CoefficientLanes], d: &[[f32; 2]]) -> Pair {
+    let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+    for (CoefficientLanes(c), [dx, dy]) in block.iter().zip(d) {
+        for k in 0..LANES {
+            x[k] += c[k] * dx;
+            y[k] += c[k] * dy;
         }
     }
-    sums
+    [x, y]
+}
+
+/// As [`affine`], of two blocks.
+#[inline(always)]
+fn two_affine(
+    first: &[CoefficientLanes],
+    second: &[CoefficientLanes],
+    d: &[[f32; 2]],
+) -> [Pair; 2] {
+    let (mut x0, mut y0) = ([0.0; LANES], [0.0; LANES]);
+    let (mut x1, mut y1) = ([0.0; LANES], [0.0; LANES]);
+    let blocks = first.iter().zip(second);
+    for ((CoefficientLanes(c0), CoefficientLanes(c1)), [dx, dy]) in blocks.zip(d) {
+        for k in 0..LANES {
+            x0[k] += c0[k] * dx;
+            y0[k] += c0[k] * dy;
+        }
+        for k in 0..LANES {
+            x1[k] += c1[k] * dx;
+            y1[k] += c1[k] * dy;
+        }
+    }
+    [[x0, y0], [x1, y1]]
 }
 
 #[inline(always)]

@@ -20,7 +20,7 @@ pub(super) fn displace_avx2(
         d: &[[f32; 2]],
         out: &mut Vec<BlockDisplacements>,
     ) -> f32 {
-        scalar::displace_inline::<1>(form, table, d, out)
+        scalar::displace_inline::<false>(form, table, d, out)
     }
     // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(form, table, d, out) }
@@ -41,7 +41,7 @@ pub(super) fn displace_avx512(
         out: &mut Vec<BlockDisplacements>,
     ) -> f32 {
         // With fewer lanes in a vector a block has sums enough to keep the processor busy.
-        scalar::displace_inline::<2>(form, table, d, out)
+        scalar::displace_inline::<true>(form, table, d, out)
     }
     // SAFETY: the one caller asks `SimdLevel::is_supported` first.
     unsafe { body(form, table, d, out) }
