@@ -135,8 +135,8 @@ fn count(text: &str, keypoints: &Node<'_, '_>) -> Result<(usize, usize), BadJson
     Ok((numbers / 3, labelled))
 }
 
-/// The names of the items of an image; `None` if that of its file is none, which is an error where
-/// an item has it.
+/// The names of the items of an image; `None` if the name of its file cannot be read, which is an
+/// error where an item has it.
 fn names_of(file: &Node<'_, '_>, items: &Items) -> Option<ImageNames> {
     let file = name_in(file).ok()?;
     Some(ImageNames::new(&file, items))

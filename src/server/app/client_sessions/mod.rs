@@ -124,7 +124,7 @@ impl Counted {
         Some(session)
     }
 
-    /// Removes at most so many expired sessions; returns how many.
+    /// Removes at most `most` expired sessions; returns their number.
     fn sweep(&mut self, idle: Duration, most: usize) -> usize {
         // One that a claim has put back lies before others that were used later: it waits for them.
         let is_over = |(_, session): (&SessionId, &CountedSession)| session.used.elapsed() >= idle;

@@ -348,7 +348,7 @@ impl Index {
         entry.record
     }
 
-    /// At most so many sessions that have expired and are not swept yet, the oldest first.
+    /// Sessions that have expired and are not swept yet, at most `most`, the oldest first.
     pub(crate) fn expired(&self, most: usize) -> Vec<SessionId> {
         let oldest = self.sessions.iter().rev();
         // Those of another version do not expire.
