@@ -52,8 +52,7 @@ export async function readAnnotations(file, most) {
   /** @type {(detail: string) => Page.Problem} */
   const problem = (detail) => new api.Problem({ code: "bad_annotations", detail }, 0);
   if (file.size > most) throw problem(`The file ${file.name} is too large for this server.`);
-  const text = await file.text().catch(() => null);
-  if (text === null) throw problem(`The file ${file.name} cannot be read.`);
+  const text = await file.text();
   let geojson;
   try {
     geojson = JSON.parse(text);

@@ -4,7 +4,7 @@
 import * as api from "./api.js";
 import { find, known, listen, text } from "./dom.js";
 import { restOf } from "./edits.js";
-import { paired } from "./files.js";
+import { inMemory, paired } from "./files.js";
 import { chooseItem, indexOfItem, landmarksOf } from "./landmarks.js";
 import { METHODS } from "./methods.js";
 import { blendLine, copy, save, stem } from "./share.js";
@@ -58,6 +58,7 @@ const FAULTS = new Set([
   "bad_value",
   "not_finite",
   "too_large",
+  "unreadable_file",
   "unsupported_format",
 ]);
 
@@ -300,19 +301,20 @@ export class BlendDialog {
    * @param {File} landmarks
    */
   async #open(item, landmarks) {
-    if (item.file.size > this.limits.body)
+    if ([item.file, landmarks].some(({ size }) => size > this.limits.body))
       throw new api.Problem({ code: "too_large", detail: BLEND.large(this.limits.body) }, 0);
+    const [picture, rows] = await Promise.all([item.file, landmarks].map(inMemory));
     /** @type {Page.SessionObject[]} */
     const sized = []; // one without handles, where a file needs the size of its picture
     /** @type {import("./landmarks.js").Item | undefined} */
     let chosen;
     const { p, q, names, units } = await landmarksOf(
-      landmarks,
+      rows,
       {
-        name: item.file.name,
+        name: picture.name,
         size: async () => {
           const rest = restOf(emptyDocument());
-          sized.push(await api.openSession(item.file, item.file.name, rest, {}));
+          sized.push(await api.openSession(picture, picture.name, rest, {}));
           return [sized[0].image.width, sized[0].image.height];
         },
       },
@@ -322,7 +324,7 @@ export class BlendDialog {
     const rest = /** @type {Page.Json} */ ({ p, units });
     const { id, image } = sized.length
       ? await api.putHandles(sized[0].id, rest)
-      : await api.openSession(item.file, item.file.name, rest, {});
+      : await api.openSession(picture, picture.name, rest, {});
     const scale = units === "normalized" ? [image.width, image.height] : [1, 1];
     /** @type {(place: Page.Place) => Page.Place} */
     const px = ([x, y]) => [x * scale[0], y * scale[1]];

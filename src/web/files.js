@@ -1,6 +1,7 @@
 // Files that a user opens together: what each of them is, and which are used. The others are named.
 
 import { isAnnotations } from "./annotations.js";
+import { Problem } from "./api.js";
 import { beginsAsProject } from "./project.js";
 
 const PICTURE = /\.(png|jpe?g|webp|gif|bmp|tiff?)$/i;
@@ -21,6 +22,20 @@ const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
 
 /** @type {(file: File) => boolean} */
 const isPicture = (file) => file.type.startsWith("image/") || PICTURE.test(file.name);
+
+/**
+ * A copy in memory: the file on disk may change or disappear before it is read, and a browser then
+ * refuses to read it. Throws a Problem.
+ * @param {File} file
+ */
+export async function inMemory(file) {
+  try {
+    return new File([await file.arrayBuffer()], file.name, { type: file.type });
+  } catch {
+    const detail = file.name && `The browser cannot read ${file.name}.`;
+    throw new Problem({ code: "unreadable_file", detail }, 0);
+  }
+}
 
 /**
  * The JSON value of a file; undefined if it is not JSON or too large.

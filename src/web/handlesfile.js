@@ -27,9 +27,9 @@ const FILTERS = ["nearest", "bilinear", "bicubic"];
 export async function readHandles(file, picture) {
   /** @type {(detail: string) => Problem} */
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
-  const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
-  const reason = file.size > LARGEST ? ": it is too large for a file of handles" : "";
-  if (text === null) throw problem(`The file ${file.name} cannot be read${reason}.`);
+  if (file.size > LARGEST)
+    throw problem(`The file ${file.name} is too large for a file of handles.`);
+  const text = await file.text();
   /** @type {(at: number) => string} */
   const where = (at) => {
     const { line, column } = lineAndColumn(text, at);

@@ -6,7 +6,7 @@ import { readAnnotations } from "./annotations.js";
 import * as api from "./api.js";
 import { known } from "./dom.js";
 import { alphaOf, hasFocus, ownIn, restOf, sameRest } from "./edits.js";
-import { sorted } from "./files.js";
+import { inMemory, sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
 import { forgetFiles, keepFile, kept, keptAnnotations, keptFile } from "./keep.js";
 import { NeedsPicture } from "./landmarks.js";
@@ -152,10 +152,17 @@ export class Opener {
    */
   async files(list) {
     if (!list.length) return;
-    const { project, picture, handles, annotations, unused } = await sorted(
-      list,
-      2 * this.limits.body,
-    );
+    // The largest one is a project. What is larger is refused by its size, without being read.
+    const most = 2 * this.limits.body;
+    let files;
+    try {
+      files = await Promise.all(
+        [...list].map((file) => (file.size > most ? file : inMemory(file))),
+      );
+    } catch (problem) {
+      return this.#refuse(problem);
+    }
+    const { project, picture, handles, annotations, unused } = await sorted(files, most);
     if (project) await this.#project(project);
     else {
       try {
@@ -265,7 +272,7 @@ export class Opener {
         const detail = `The file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}.`;
         throw new api.Problem({ code: "too_large", detail }, 0);
       }
-      await this.#fresh(await copyOf(file), name, emptyDocument(), null, signal);
+      await this.#fresh(await inMemory(file), name, emptyDocument(), null, signal);
     });
   }
 
@@ -599,18 +606,6 @@ export class Opener {
       if (kept.annotations && !annotations)
         this.toast(`${kept.annotations.name} is not stored any more: open it again`);
     });
-  }
-}
-
-/**
- * Copies a file to memory: the file on disk may change or disappear before it is needed again.
- * @param {File} file
- */
-async function copyOf(file) {
-  try {
-    return new Blob([await file.arrayBuffer()], { type: file.type });
-  } catch {
-    throw new api.Problem({ code: "unreadable_file" }, 0);
   }
 }
 

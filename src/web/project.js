@@ -74,9 +74,6 @@ export async function readProject(file, most) {
       );
     if (error instanceof SyntaxError)
       throw problem("the JSON is damaged: the file may not be complete.");
-    const isGone = ["NotReadableError", "NotFoundError"];
-    if (error instanceof DOMException && isGone.includes(error.name))
-      throw new Problem({ code: "unreadable_file" }, 0);
     throw error;
   }
 }

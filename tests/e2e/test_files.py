@@ -47,6 +47,26 @@ def drop(visit, *files):
     )
 
 
+def changed(visit, *paths):
+    """Brings files that were written again after they were chosen: browsers refuse to read them."""
+    visit.page.evaluate(
+        """() => document.body.append(Object.assign(document.createElement("input"),
+             { type: "file", id: "chosen", multiple: true }))"""
+    )
+    visit.page.set_input_files("#chosen", paths)
+    for path in paths:
+        path.write_bytes(path.read_bytes() + b"\n")
+    visit.page.evaluate(
+        """() => {
+          const carried = new DataTransfer();
+          for (const file of document.querySelector("#chosen").files) carried.items.add(file);
+          document.querySelector("#chosen").remove();
+          document.body.dispatchEvent(new DragEvent("drop",
+            { dataTransfer: carried, bubbles: true, cancelable: true }));
+        }"""
+    )
+
+
 def sides(visit):
     warp = visit.warp()
     return [tuple(place) for place in warp["p"]], [tuple(place) for place in warp["q"]]
@@ -471,3 +491,26 @@ def test_annotations_that_the_server_refuses_are_removed(opened):
         and opened.text("problem-detail")
         == "In cells.geojson, at geometry.coordinates[0][0][0]: expected a number; found a string."
     )
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [
+        ("discs.png", None),
+        ("cells.geojson", json.dumps(CELLS).encode()),
+        ("handles.json", json.dumps({"p": [[1, 1]], "q": [[2, 2]]}).encode()),
+        ("face.pts", pts(REST)),
+        ("table.csv", b"1,2\n3,4\n"),
+        ("discs.mlswarp.json", b'{"mlswarp_project": 1}'),
+    ],
+)
+def test_a_file_that_changed_after_it_was_chosen_is_named(opened, tmp_path, picture, name, content):
+    opened.click(*RED)
+    path = tmp_path / name
+    path.write_bytes(content or picture.read_bytes())
+    changed(opened, path)
+    opened.body("[data-problem=unreadable_file]")
+    assert opened.text("problem-detail") == f"The browser cannot read {name}."
+    assert (opened["handles"], opened["undo"]) == ("1", "1")
+    opened.page.set_input_files("#file", path)
+    opened.body(":not([data-problem=unreadable_file])")
