@@ -83,6 +83,8 @@ pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;
 pub use members::ColumnMember;
+#[doc(hidden)]
+pub use methods::arap::factorisation;
 pub use methods::mls::falloff::Falloff;
 pub use methods::{AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, MethodSystem};
 pub use overall::{Class, Fitted, PlaneMap, fitted};

@@ -155,6 +155,16 @@ struct AsRigidAsPossible {
     posable: Option<PosableMesh>,
 }
 
+/// For benchmarks: what orders the vertices of the mesh of a mask, in pieces of `side` px, and
+/// factorises the energies of both steps with the positions that are held. `None`: there is no mesh
+/// of one part, or a position lies beside it.
+#[doc(hidden)]
+#[must_use]
+pub fn factorisation(mask: &Arc<Mask>, side: u32, held: &[Point]) -> Option<impl Fn() + use<>> {
+    let mesh = LatticeMesh::new(mask, side, &|| false).ok()?;
+    moved::factorisation(&mesh, held)
+}
+
 /// A mesh, and what of it handles move.
 #[derive(Debug)]
 struct PosableMesh {

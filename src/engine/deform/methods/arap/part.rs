@@ -56,28 +56,13 @@ struct HeldEnergy<E> {
 }
 
 impl<E: MatrixEntry> HeldEnergy<E> {
-    /// `block(k)`: the energy of quad k. `None` when cancelled.
+    /// `None` when cancelled.
     fn new(
-        order: &Dissection,
-        (elements, quads): (&[[u32; 4]], usize),
-        block: impl Fn(usize) -> [[E; 4]; 4],
-        anchors: &[QuadAnchor],
+        (factor, weight): (Factor<E>, f64),
+        (order, anchors): (&Dissection, &[QuadAnchor]),
         vertices: usize,
         cancelled: &dyn Fn() -> bool,
     ) -> Option<Self> {
-        let diagonal = |k: usize| (0..4).map(|i| block(k)[i][i].re()).sum::<f64>();
-        let weight = (0..quads).map(diagonal).sum::<f64>() / vertices as f64;
-        // Without handles the energy leaves a motion of the whole free, so its matrix is singular.
-        // `w B^H B` makes it definite before anything is divided (mathematics 10.6), and adds each
-        // anchor as one more element of four corners.
-        let element = |k: usize| {
-            let Some(anchor) = k.checked_sub(quads) else {
-                return block(k);
-            };
-            let of = anchors[anchor].weights;
-            of.map(|a| of.map(|b| E::ONE * (weight * a * b)))
-        };
-        let factor = Factor::new(order, elements, element, cancelled)?;
         let count = anchors.len();
         let mut held = Self {
             factor,
@@ -263,6 +248,13 @@ impl PartCost {
     }
 }
 
+/// The energies of the two steps, factorised, and the weights of their anchors.
+#[derive(Debug)]
+pub(super) struct Factors {
+    similar: (Factor<Vec2>, f64),
+    congruent: (Factor<f64>, f64),
+}
+
 /// A part whose vertices are ordered.
 #[derive(Debug)]
 pub(super) struct OrderedPart {
@@ -313,21 +305,52 @@ impl OrderedPart {
         }
     }
 
+    /// The energies of both steps, factorised. `None` when cancelled.
+    pub(super) fn factors(&self, cancelled: &dyn Fn() -> bool) -> Option<Factors> {
+        let shape = |k: usize| &self.mesh.shapes[usize::from(self.mesh.quads[k].1)];
+        Some(Factors {
+            similar: self.factor(|k| shape(k).similar, cancelled)?,
+            congruent: self.factor(|k| shape(k).congruent, cancelled)?,
+        })
+    }
+
+    /// An energy, factorised, and the weight of its anchors. `block(k)`: the energy of quad k.
+    /// `None` when cancelled.
+    fn factor<E: MatrixEntry>(
+        &self,
+        block: impl Fn(usize) -> [[E; 4]; 4],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<(Factor<E>, f64)> {
+        let quads = self.mesh.quads.len();
+        let diagonal = |k: usize| (0..4).map(|i| block(k)[i][i].re()).sum::<f64>();
+        let sum = (0..quads).map(diagonal).sum::<f64>();
+        let weight = sum / self.mesh.positions.len() as f64;
+        // Without handles the energy leaves a motion of the whole free, so its matrix is singular.
+        // `w B^H B` makes it definite before anything is divided (mathematics 10.6), and adds each
+        // anchor as one more element of four corners.
+        let element = |k: usize| {
+            let Some(anchor) = k.checked_sub(quads) else {
+                return block(k);
+            };
+            let of = self.anchors[anchor].weights;
+            of.map(|a| of.map(|b| E::ONE * (weight * a * b)))
+        };
+        let factor = Factor::new(&self.order, &self.elements, element, cancelled)?;
+        Some((factor, weight))
+    }
+
     /// `None` when cancelled.
     pub(super) fn solve(self, cancelled: &dyn Fn() -> bool) -> Option<RigidPart> {
+        let Factors { similar, congruent } = self.factors(cancelled)?;
         let Self {
             mesh,
             anchors,
-            elements,
             order,
+            ..
         } = self;
-        let shape = |k: usize| &mesh.shapes[usize::from(mesh.quads[k].1)];
-        let (quads, vertices) = (mesh.quads.len(), mesh.positions.len());
-        let all = (&*elements, quads);
-        let similar = |k| shape(k).similar;
-        let similar = HeldEnergy::new(&order, all, similar, &anchors, vertices, cancelled)?;
-        let congruent = |k| shape(k).congruent;
-        let congruent = HeldEnergy::new(&order, all, congruent, &anchors, vertices, cancelled)?;
+        let (held, vertices) = ((&order, &*anchors), mesh.positions.len());
+        let similar = HeldEnergy::new(similar, held, vertices, cancelled)?;
+        let congruent = HeldEnergy::new(congruent, held, vertices, cancelled)?;
         Some(RigidPart {
             mesh,
             anchors,

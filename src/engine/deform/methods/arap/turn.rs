@@ -120,7 +120,7 @@ struct CornerLanes {
 }
 
 /// The quads of a part.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct QuadMesh {
     pub(super) shapes: Vec<QuadShape>,
     /// The corners of each quad, and its shape.
