@@ -238,18 +238,20 @@ def test_the_last_few_pictures_are_kept(visit, tmp_path):
 
 def test_annotations_do_not_push_out_the_pictures_before(visit, tmp_path):
     """They are stored beside the pictures: the oldest file that nothing needs makes room."""
-    shapes = tmp_path / "cells.geojson"
 
-    def annotated(x):
+    def annotated(k, x):
+        # A browser does not read a file that has changed since it was chosen, so each is a new one.
+        shapes = tmp_path / f"cells-{k}-{x}.geojson"
         shapes.write_text(json.dumps({"type": "Point", "coordinates": [x, 50]}))
         visit.page.set_input_files("#file", shapes)
+        visit.page.wait_for_selector(f"#toast.seen:text-is('{shapes.name} follows the warp')")
         visit.body("[data-annotations=exact]")
 
     for k in range(4):
         visit.open(other(tmp_path, f"p{k}.png", (300 + k, 200)))
         visit.body("[data-kept=true]")
         for x in (60, 70, 80, 90):
-            annotated(x)
+            annotated(k, x)
     visit.body("[data-kept=true]")
     visit.page.reload()
     visit.ready()
