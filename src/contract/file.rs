@@ -4,7 +4,9 @@
 use std::ops::ControlFlow;
 
 use mlswarp::Cancel;
+use mlswarp::format::Format;
 use mlswarp::pixmap::Extent;
+use mlswarp::render::Canvas;
 use mlswarp::warp::{
     Image, Limits, PosedMesh, RasterSource, Region, RenderJob, Report, Stage, WarpError,
     WriteObserver,
@@ -34,20 +36,34 @@ pub struct WarpFiles<'a> {
     pub warp: &'a [u8],
     /// The file of a mask: only what is white in it moves.
     pub region: Option<&'a [u8]>,
+    /// The format of the result, if it is a frame of an animation.
+    pub format: Option<Format>,
+}
+
+/// What the service sends.
+#[derive(Clone, Debug)]
+pub struct DrawnFile {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// What it says in headers.
+    pub report: Report,
+    /// The part of the posed plane that it shows, if that is not the box of the source.
+    pub canvas: Option<Canvas>,
 }
 
 impl WarpFiles<'_> {
-    /// The file that the service sends, and what it says in headers. `helpers`: threads beside the
-    /// calling one. Errors: Those of the service; cancelled.
+    /// What the service sends. `helpers`: threads beside the calling one. Errors: Those of the
+    /// service; cancelled.
     pub fn draw(
         &self,
         limits: &Limits,
         helpers: usize,
         cancel: &Cancel,
-    ) -> Result<(Vec<u8>, Report), Problem> {
+    ) -> Result<DrawnFile, Problem> {
         let is_cancelled = || cancel.is_cancelled();
         let mut object = read_object(self.warp)?;
         object.posed()?;
+        object.output.format = self.format.unwrap_or(object.output.format);
         let image = Image::decode(self.image, &limits.image, &is_cancelled)?;
         let extent = image.extent();
         let region = self
@@ -66,9 +82,9 @@ impl WarpFiles<'_> {
         let posed = PosedMesh::new(&setup, &plan, &pose, object.folds, &is_cancelled)?;
         let posed = region.into_iter().fold(posed, PosedMesh::within);
         let job = RenderJob::new(subject, &posed, &object.output, limits, &is_cancelled)?;
-        let mut file = Vec::new();
-        let written = job.write(helpers, &Watch(cancel), &mut |bytes| {
-            file.extend(bytes);
+        let mut bytes = Vec::new();
+        let written = job.write(helpers, &Watch(cancel), &mut |more| {
+            bytes.extend(more);
             ControlFlow::Continue(())
         });
         if written.is_break() {
@@ -76,7 +92,11 @@ impl WarpFiles<'_> {
         }
         let target = job.target();
         let report = posed.into_report_on(subject, (&target, &object.output), &is_cancelled)?;
-        Ok((file, report))
+        Ok(DrawnFile {
+            bytes,
+            report,
+            canvas: target.canvas,
+        })
     }
 }
 
@@ -102,8 +122,14 @@ fn read_region(
 ) -> Result<Region, Problem> {
     let mask = Image::decode(file, &limits.image, &|| cancel.is_cancelled());
     let mask = mask.map_err(|error| in_part_region(error.into()))?;
+    region_of(&mask, expected)
+}
+
+/// The region of a mask.
+/// Errors: A mask of another size.
+pub fn region_of(mask: &Image, expected: Extent) -> Result<Region, Problem> {
     check_extent(mask.extent(), expected).map_err(in_part_region)?;
-    Ok(Region::new(&mask))
+    Ok(Region::new(mask))
 }
 
 /// Adds the name of the part.

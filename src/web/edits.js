@@ -314,7 +314,7 @@ export function brought(document, selection, isFront) {
 
 /**
  * Whether the picture follows its outline: parts of it that are dragged come to the front.
- * @type {(document: Page.Document) => boolean}
+ * @type {(document: Pick<Page.Document, "method" | "metric">) => boolean}
  */
 export const isOutlined = (document) =>
   metricOf(document) === "geodesic" || Boolean(infoOf(document).mesh);

@@ -5,13 +5,19 @@
 
 import { Blend, framesOf } from "./blend.js";
 import { EngineCrashed, MlswarpError } from "./errors.js";
-import { Instance } from "./instance.js";
+import { Instance, numberIn } from "./instance.js";
 import { moduleOf } from "./module.js";
-import { Plan } from "./plan.js";
+import { Outline, Plan } from "./plan.js";
 import { SourceImage, Pose } from "./pose.js";
 
-export { EngineCrashed, MlswarpError, Plan, Pose, SourceImage };
-export { WorkerEngine, WorkerImage, WorkerPlan, WorkerPose } from "./worker-engine.js";
+export { EngineCrashed, MlswarpError, Outline, Plan, Pose, SourceImage };
+export {
+  WorkerEngine,
+  WorkerImage,
+  WorkerOutline,
+  WorkerPlan,
+  WorkerPose,
+} from "./worker-engine.js";
 
 /** @typedef {import("./module.js").Source} Source */
 /** @typedef {import("./instance.js").Bytes} Bytes */
@@ -24,6 +30,13 @@ export { WorkerEngine, WorkerImage, WorkerPlan, WorkerPose } from "./worker-engi
 /** @typedef {import("./pose.js").Report} Report */
 /** @typedef {import("./blend.js").BlendObject} BlendObject */
 /** @typedef {import("./blend.js").Blended} Blended */
+/** @typedef {{ region?: Bytes, frame?: "gif" }} FileOptions */
+/**
+ * `canvas`: the part of the posed plane that the file shows, as in the header `Warp-Canvas`; absent
+ * if that is the box of the source.
+ *
+ * @typedef {Report & { canvas?: string }} FileReport
+ */
 /**
  * @typedef {{
  *   p: Handle[], q?: Handle[], names?: string[], units: "px" | "normalized", format: string,
@@ -60,12 +73,29 @@ export class Engine {
    * @param {PlanOptions} options the size of the image, and the method with its parameters
    * @returns {Plan}
    */
-  plan(p, { size, ...rest }) {
+  plan(p, { size, outline, ...rest }) {
     const [instance, [width, height]] = [this.#instance, size];
     if (!Number.isSafeInteger(width) || !Number.isSafeInteger(height))
       throw new TypeError("`size` is the width and height of the image: whole numbers of pixels");
+    const within = outline ? numberIn(instance, outline) : 0;
     const warp = instance.putJson({ ...rest, p });
-    return new Plan(instance, instance.make("plan", warp, width, height), p.length);
+    return new Plan(instance, instance.make("plan", warp, width, height, within), p.length);
+  }
+
+  /**
+   * What is visible of an image, for plans that follow it. `region`: a mask; only what is white in
+   * it counts.
+   *
+   * @param {Bytes | SourceImage} image a file, or an image of this engine
+   * @param {{ region?: Bytes | SourceImage }} [options]
+   * @returns {Outline}
+   */
+  outline(image, { region } = {}) {
+    const instance = this.#instance;
+    const [number, mask] = [image, region].map((from) =>
+      from instanceof SourceImage ? numberIn(instance, from) : from ? instance.put(from) : 0,
+    );
+    return new Outline(instance, instance.make("outline", number, mask));
   }
 
   /**
@@ -80,11 +110,12 @@ export class Engine {
 
   /**
    * The file that the service sends for this file and this warp object (`POST /warp`): the same
-   * bytes. `region`: a mask as a file; only what is white in it moves.
+   * bytes. `region`: a mask as a file; only what is white in it moves. `frame`: a GIF, as a frame
+   * of an animation.
    *
    * @param {Bytes} file PNG, JPEG, WebP, TIFF, GIF or BMP
    * @param {WarpObject} warp
-   * @param {{ region?: Bytes }} [options]
+   * @param {FileOptions} [options]
    * @returns {Uint8Array<ArrayBuffer>}
    */
   warpFile(file, warp, options) {
@@ -96,10 +127,10 @@ export class Engine {
    *
    * @param {Bytes} file
    * @param {WarpObject} warp
-   * @param {{ region?: Bytes }} [options]
-   * @returns {{ file: Uint8Array<ArrayBuffer>, report: Report }}
+   * @param {FileOptions} [options]
+   * @returns {{ file: Uint8Array<ArrayBuffer>, report: FileReport }}
    */
-  warpFileWithReport(file, warp, { region } = {}) {
+  warpFileWithReport(file, warp, { region, frame } = {}) {
     const instance = this.#instance;
     const drawn = instance.take(
       instance.make(
@@ -107,6 +138,7 @@ export class Engine {
         instance.put(file),
         instance.putJson(warp),
         region ? instance.put(region) : 0,
+        Number(frame === "gif"),
       ),
     );
     const length = new DataView(drawn.buffer).getUint32(0, true);

@@ -6,7 +6,7 @@ import { EngineCrashed, MlswarpError } from "./errors.js";
 import { jsonOf } from "./json.js";
 
 /** That of the file; see `wasm/src/lib.rs`. */
-const ABI_VERSION = 2;
+const ABI_VERSION = 3;
 
 /**
  * @typedef {{
@@ -21,7 +21,8 @@ const ABI_VERSION = 2;
  *   free(object: number): void,
  *   objects(): number,
  *   error(): number,
- *   plan(warp: number, width: number, height: number): number,
+ *   plan(warp: number, width: number, height: number, outline: number): number,
+ *   outline(image: number, region: number): number,
  *   pose(plan: number, pose: number): number,
  *   report(pose: number): number,
  *   image(pixels: number, width: number, height: number): number,
@@ -33,7 +34,7 @@ const ABI_VERSION = 2;
  *   points(pose: number, positions: number, isInverse: number): number,
  *   map(pose: number, isForward: number): number,
  *   mesh(pose: number): number,
- *   warp_file(file: number, warp: number, region: number): number,
+ *   warp_file(file: number, warp: number, region: number, isGif: number): number,
  *   landmarks(options: number, p: number, q: number): number,
  * }} Exports
  */

@@ -10,19 +10,23 @@ import { Pose } from "./pose.js";
  *
  * @typedef {{
  *   size: [width: number, height: number],
- *   method?: Exclude<Method, "arap">, alpha?: number, weights?: number[], depth?: number[],
+ *   method?: Method, metric?: "euclidean" | "geodesic", outline?: Outline,
+ *   mask?: { threshold?: number }, alpha?: number, weights?: number[], depth?: number[],
  *   point_mass?: number, smoothing?: number,
  *   align?: "none" | "rigid" | "similarity" | "affine", units?: "px" | "normalized",
  *   grid?: object | "auto" | "pixel", coincident?: object, folds?: "report" | "reject" | "remove",
- *   beier_neely?: { a?: number, b?: number, p?: number },
+ *   beier_neely?: { a?: number, b?: number, p?: number }, arap?: { cell?: number },
  * }} PlanOptions
  */
 /**
- * @typedef {Omit<PlanOptions, "size" | "method"> & {
+ * @typedef {Omit<PlanOptions, "size" | "method" | "outline"> & {
  *   p?: Handle[], q?: Handle[], strength?: number, method?: Method | "auto",
  *   output?: Record<string, unknown>, [field: string]: unknown,
  * }} WarpObject
  */
+
+/** What is visible of an image: handles of `metric: "geodesic"` and `method: "arap"` act through it alone. */
+export class Outline extends Held {}
 
 /** Handles at rest on an image of a size. Immutable; as many poses as you like. */
 export class Plan extends Held {

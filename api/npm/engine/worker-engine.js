@@ -15,6 +15,9 @@ import { EngineCrashed, MlswarpError } from "./errors.js";
  * }} Answer
  */
 /** @typedef {{ signal?: AbortSignal }} Abortable */
+/**
+ * @typedef {Omit<import("./index.js").PlanOptions, "outline"> & { outline?: WorkerOutline }} WorkerPlanOptions
+ */
 /** @typedef {{ call: Call, resolve(result: any): void, reject(error: unknown): void }} Waiting */
 
 /** The calls to a worker, one under way at a time, so that those that wait can be withdrawn. */
@@ -140,17 +143,19 @@ class WorkerHeld {
 }
 /** An image in the memory of the worker's engine. */
 export class WorkerImage extends WorkerHeld {}
+/** As `Outline`. */
+export class WorkerOutline extends WorkerHeld {}
 
 /**
- * What is sent for an image: its number, if it is in the memory of this worker.
+ * What is sent for an image or an outline: its number, if it is in the memory of this worker.
  *
  * @param {Calls} calls
- * @param {import("./index.js").Pixels | WorkerImage} image
+ * @param {unknown} given
  */
-function sentTo(calls, image) {
-  if (!(image instanceof WorkerImage)) return image;
-  const { calls: own, number } = partsOf(image);
-  if (own !== calls) throw new TypeError("this WorkerImage is of another engine");
+function sentTo(calls, given) {
+  if (!(given instanceof WorkerHeld)) return given;
+  const { calls: own, number } = partsOf(given);
+  if (own !== calls) throw new TypeError(`this ${given.constructor.name} is of another engine`);
   return { heldByWorker: number };
 }
 
@@ -291,13 +296,25 @@ export class WorkerEngine {
 
   /**
    * @param {Handle[]} p
-   * @param {import("./index.js").PlanOptions} options
+   * @param {WorkerPlanOptions} options
    * @param {Abortable} [options_]
    * @returns {Promise<WorkerPlan>}
    */
-  async plan(p, options, { signal } = {}) {
-    const { number } = await this.#calls.call(0, "plan", [p, options], signal);
+  async plan(p, { outline, ...options }, { signal } = {}) {
+    const given = { ...options, outline: sentTo(this.#calls, outline) };
+    const { number } = await this.#calls.call(0, "plan", [p, given], signal);
     return new WorkerPlan(this.#calls, number);
+  }
+
+  /**
+   * @param {import("./index.js").Bytes | WorkerImage} image
+   * @param {{ region?: import("./index.js").Bytes | WorkerImage } & Abortable} [options]
+   * @returns {Promise<WorkerOutline>}
+   */
+  async outline(image, { region, signal } = {}) {
+    const [whole, mask] = [image, region].map((from) => sentTo(this.#calls, from));
+    const { number } = await this.#calls.call(0, "outline", [whole, { region: mask }], signal);
+    return new WorkerOutline(this.#calls, number);
   }
 
   /**
@@ -313,21 +330,21 @@ export class WorkerEngine {
   /**
    * @param {import("./index.js").Bytes} file
    * @param {import("./index.js").WarpObject} warp
-   * @param {{ region?: import("./index.js").Bytes } & Abortable} [options]
+   * @param {import("./index.js").FileOptions & Abortable} [options]
    * @returns {Promise<Uint8Array<ArrayBuffer>>}
    */
-  warpFile(file, warp, { region, signal } = {}) {
-    return this.#calls.call(0, "warpFile", [file, warp, { region }], signal);
+  warpFile(file, warp, { signal, ...options } = {}) {
+    return this.#calls.call(0, "warpFile", [file, warp, options], signal);
   }
 
   /**
    * @param {import("./index.js").Bytes} file
    * @param {import("./index.js").WarpObject} warp
-   * @param {{ region?: import("./index.js").Bytes } & Abortable} [options]
-   * @returns {Promise<{ file: Uint8Array<ArrayBuffer>, report: import("./index.js").Report }>}
+   * @param {import("./index.js").FileOptions & Abortable} [options]
+   * @returns {Promise<{ file: Uint8Array<ArrayBuffer>, report: import("./index.js").FileReport }>}
    */
-  warpFileWithReport(file, warp, { region, signal } = {}) {
-    return this.#calls.call(0, "warpFileWithReport", [file, warp, { region }], signal);
+  warpFileWithReport(file, warp, { signal, ...options } = {}) {
+    return this.#calls.call(0, "warpFileWithReport", [file, warp, options], signal);
   }
 
   /**

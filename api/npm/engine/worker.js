@@ -1,6 +1,7 @@
 // What runs in the worker of a WorkerEngine: an engine, and what was made with it, by number.
 
-import { Engine, EngineCrashed, MlswarpError, Plan, Pose, SourceImage } from "./index.js";
+import { Engine, EngineCrashed, MlswarpError, Pose } from "./index.js";
+import { Held } from "./instance.js";
 
 /** @typedef {import("./worker-engine.js").Call} Call */
 /** @typedef {import("./worker-engine.js").Answer} Answer */
@@ -13,12 +14,14 @@ let last = 0;
 const scope = /** @type {any} */ (globalThis);
 
 /** @type {(value: any) => any} */
-const argument = (value) =>
-  Array.isArray(value) && value.some((part) => part?.heldByWorker)
-    ? value.map(argument)
-    : value?.heldByWorker
-      ? held.get(value.heldByWorker)
-      : value;
+const part = (value) => (value?.heldByWorker ? held.get(value.heldByWorker) : value);
+
+/** Images in a list, or the members of options. @type {(value: any) => any} */
+function argument(value) {
+  if (Array.isArray(value)) return value.map(part);
+  if (value?.constructor !== Object || value.heldByWorker) return part(value);
+  return Object.fromEntries(Object.entries(value).map(([name, one]) => [name, part(one)]));
+}
 
 /**
  * What is sent for a result, and the buffers that need not be copied.
@@ -27,7 +30,7 @@ const argument = (value) =>
  * @returns {[unknown, Transferable[]]}
  */
 function sent(result) {
-  if (result instanceof Plan || result instanceof Pose || result instanceof SourceImage) {
+  if (result instanceof Held) {
     held.set(++last, result);
     return [{ number: last, report: result instanceof Pose ? result.report : undefined }, []];
   }

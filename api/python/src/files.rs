@@ -29,9 +29,10 @@ pub(crate) fn warp_file<'py>(
             image: &image,
             warp: &warp,
             region: region.as_deref(),
+            format: None,
         };
         let helpers = rayon::current_num_threads() - 1;
-        Ok(files.draw(&limits(), helpers, cancel)?.0)
+        Ok(files.draw(&limits(), helpers, cancel)?.bytes)
     })?;
     Ok(PyBytes::new(py, &file))
 }

@@ -1,7 +1,7 @@
 // The warp without a server: the engine of the package, as WebAssembly in a worker.
 
-import { boxOf, canvasOf } from "../canvas.js";
-import { restOf, wire } from "../edits.js";
+import { boxFrom, boxOf, canvasOf } from "../canvas.js";
+import { isOutlined, restOf, wire } from "../edits.js";
 import { Mesh } from "../mesh.js";
 import { Follower } from "./follower.js";
 
@@ -18,6 +18,8 @@ export class Local extends Follower {
   #engine = null;
   /** @type {WorkerPlan | null} */
   #plan = null;
+  /** @type {Promise<import("../../../api/npm/engine/worker-engine.js").WorkerOutline> | null} */
+  #outline = null;
   #words = "";
   /** @type {Page.MeshGrid | null} */
   #grid = null;
@@ -25,6 +27,8 @@ export class Local extends Follower {
   #next = null;
   #posing = Promise.resolve();
   #isPosing = false;
+  /** That of the newest file. @type {Page.Box | null} */
+  #box = null;
   #file;
 
   /**
@@ -56,7 +60,7 @@ export class Local extends Follower {
   failed(error, revision) {
     // Another engine starts without a plan.
     if (/** @type {Error} */ (error).name === "EngineCrashed") {
-      this.#engine = this.#plan = null;
+      this.#engine = this.#plan = this.#outline = null;
       this.#words = "";
     }
     super.failed(error, revision);
@@ -76,10 +80,15 @@ export class Local extends Follower {
   async take({ p, output: _, ...rest }, words) {
     const engine = await this.#load();
     const size = /** @type {Page.Size} */ (this.view.size);
-    const options = /** @type {import("../../../api/npm/engine/index.js").PlanOptions} */ ({
-      size,
-      ...rest,
-    });
+    const isCut = isOutlined(rest);
+    if (isCut) this.#outline ??= engine.outline(await this.#file);
+    const outline = isCut && (await this.#outline);
+    const options =
+      /** @type {import("../../../api/npm/engine/worker-engine.js").WorkerPlanOptions} */ ({
+        size,
+        ...rest,
+        ...(outline && { outline }),
+      });
     const plan = await engine.plan(/** @type {Handle[]} */ (p), options);
     const pose = await plan.pose(/** @type {Handle[]} */ (p));
     const { columns, rows, xy } = await pose.mesh();
@@ -89,6 +98,7 @@ export class Local extends Follower {
     const [width, height] = size;
     // The lines are at equal distances, but for the last one.
     this.#grid = { columns, rows, width, height, cell: [xy[2], xy[2 * columns + 1]] };
+    this.view.isCut = isCut;
     this.#words = words;
   }
 
@@ -130,7 +140,7 @@ export class Local extends Follower {
     await this.#posing;
     const isLarge = size[0] * size[1] > MOST_PIXELS && this.view.webgl !== "none";
     const blob = isLarge ? null : await this.fileOf(document, {});
-    const box = boxOf(canvasOf(document), size, this.mesh);
+    const box = blob ? this.#box : boxOf(canvasOf(document), size, this.mesh);
     return { blob, box, mesh: null, residual: this.residual };
   }
 
@@ -142,7 +152,11 @@ export class Local extends Follower {
     const rest = restOf(document);
     const warp = { ...rest, q: wire(document, "q"), output: { ...rest.output, ...output } };
     const engine = await this.#load();
-    const bytes = await engine.warpFile(await this.#file, /** @type {WarpObject} */ (warp));
-    return new Blob([bytes], { type: `image/${output.format ?? "png"}` });
+    const { file, report } = await engine.warpFileWithReport(
+      await this.#file,
+      /** @type {WarpObject} */ (warp),
+    );
+    this.#box = boxFrom(report.canvas);
+    return new Blob([file], { type: `image/${output.format ?? "png"}` });
   }
 }

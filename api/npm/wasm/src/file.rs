@@ -1,15 +1,20 @@
 //! Warp objects, image files and landmark files: what the service does with them.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
+use mlswarp::format::Format;
 use mlswarp::geometry::Orientation;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Limits, OutputSpec, Report};
+use mlswarp::warp::{Image, Limits, OutputSpec, Report};
 use mlswarp::{Cancel, PosedWarp, Warper};
-use mlswarp_contract::file::{MOST_FIT_HANDLES, WarpFiles, read_object};
+use mlswarp_contract::file::{MOST_FIT_HANDLES, WarpFiles, read_object, region_of};
 use mlswarp_contract::problem::{Code, Problem};
 use mlswarp_contract::wire::landmarks::{Choice, LandmarkFiles};
-use mlswarp_contract::wire::{DragObject, Reserved, WarningEntry};
+use mlswarp_contract::wire::{DragObject, Reserved, WarningEntry, canvas_text};
 use serde_json::{Value, json};
+
+use crate::objects::{self, Outline, bytes};
 
 /// Memory is not shared with other clients.
 fn free(_bytes: u64) -> Result<(), Problem> {
@@ -21,9 +26,32 @@ pub(crate) fn output(warp: &[u8]) -> Result<OutputSpec, Problem> {
     Ok(read_object(warp)?.output)
 }
 
+/// An image that is held, or that of a file, which is let go of.
+pub(crate) fn image(number: u32) -> Result<Arc<Image>, Problem> {
+    if let Ok(image) = objects::image(number) {
+        return Ok(image);
+    }
+    let image = Image::decode(&bytes(number)?, &Limits::default().image, &|| false)?;
+    Ok(Arc::new(image))
+}
+
+/// Errors: A mask of another size.
+pub(crate) fn outline(image: Arc<Image>, mask: Option<&Image>) -> Result<Outline, Problem> {
+    let region = mask.map(|mask| region_of(mask, image.extent()));
+    let region = region.transpose()?;
+    Ok(Outline { image, region })
+}
+
 /// Handles at rest on an image of a size.
-pub(crate) fn plan(warp: &[u8], size: [u32; 2]) -> Result<Warper, Problem> {
+pub(crate) fn plan(
+    warp: &[u8],
+    size: [u32; 2],
+    outline: Option<&Outline>,
+) -> Result<Warper, Problem> {
     let mut object = read_object(warp)?;
+    if let Some(Outline { image, region }) = outline {
+        object.rest.make_mask(image, region.as_ref(), &|| false)?;
+    }
     if object.is_auto
         && let Some(extent) = Extent::new(size[0], size[1])
     {
@@ -58,16 +86,26 @@ pub(crate) fn report(report: &Report) -> Value {
 }
 
 /// The length of the report, the report, and the file.
-pub(crate) fn warp(image: &[u8], warp: &[u8], region: Option<&[u8]>) -> Result<Vec<u8>, Problem> {
+pub(crate) fn warp(
+    image: &[u8],
+    warp: &[u8],
+    region: Option<&[u8]>,
+    is_gif: bool,
+) -> Result<Vec<u8>, Problem> {
     let files = WarpFiles {
         image,
         warp,
         region,
+        format: is_gif.then_some(Format::Gif),
     };
-    let (file, settled) = files.draw(&Limits::default(), 0, &Cancel::new())?;
-    let head = report(&settled).to_string().into_bytes();
+    let drawn = files.draw(&Limits::default(), 0, &Cancel::new())?;
+    let mut head = report(&drawn.report);
+    if let (Some(canvas), Value::Object(members)) = (drawn.canvas, &mut head) {
+        members.insert("canvas".to_owned(), Value::String(canvas_text(canvas)));
+    }
+    let head = head.to_string().into_bytes();
     let length = u32::try_from(head.len()).unwrap_or(u32::MAX).to_le_bytes();
-    Ok([&length[..], &head, &file].concat())
+    Ok([&length[..], &head, &drawn.bytes].concat())
 }
 
 /// The fields `p`, `q`, `names`, `units`, `format` and `unmatched` of landmark files.

@@ -24,7 +24,7 @@ use mlswarp_contract::blend::Blend;
 use objects::{Object, bytes, get, give, result, with};
 
 /// The version of these functions. JavaScript of another one refuses to work with this file.
-const ABI_VERSION: u32 = 2;
+const ABI_VERSION: u32 = 3;
 
 /// The text of the panic that ended this instance.
 static PANIC: Mutex<String> = Mutex::new(String::new());
@@ -110,10 +110,25 @@ pub extern "C" fn error() -> u32 {
 }
 
 /// Handles at rest on an image of a size. `warp`: a warp object, whose `q` only `method: auto`
-/// needs.
+/// needs. `outline`: what handles can act through, or 0.
 #[unsafe(no_mangle)]
-pub extern "C" fn plan(warp: u32, width: u32, height: u32) -> u32 {
-    result(|| file::plan(&bytes(warp)?, [width, height]).map(|plan| Object::Plan(Box::new(plan))))
+pub extern "C" fn plan(warp: u32, width: u32, height: u32, outline: u32) -> u32 {
+    result(|| {
+        let warp = bytes(warp)?;
+        let outline = (outline != 0).then(|| get(outline)).transpose()?;
+        let plan = file::plan(&warp, [width, height], outline.as_deref())?;
+        Ok(Object::Plan(Box::new(plan)))
+    })
+}
+
+/// What is visible of an image: that of a file, or one that is held. `region`: such a mask, or 0.
+#[unsafe(no_mangle)]
+pub extern "C" fn outline(image: u32, region: u32) -> u32 {
+    result(|| {
+        let image = file::image(image)?;
+        let region = (region != 0).then(|| file::image(region)).transpose()?;
+        file::outline(image, region.as_deref()).map(|outline| Object::Outline(Box::new(outline)))
+    })
 }
 
 /// A pose of a plan. `pose`: `{"q", "strength"?}`.
@@ -240,16 +255,18 @@ pub extern "C" fn mesh(pose: u32) -> u32 {
 }
 
 /// A buffer with the bytes of a report (u32), the report and the file that `POST /warp` sends for
-/// this file and this warp object. `region`: a mask, or 0.
+/// this file and this warp object. `region`: a mask, or 0. With `is_gif` it is a frame of an
+/// animated GIF.
 #[unsafe(no_mangle)]
-pub extern "C" fn warp_file(file: u32, warp: u32, region: u32) -> u32 {
+pub extern "C" fn warp_file(file: u32, warp: u32, region: u32, is_gif: u32) -> u32 {
     result(|| {
         let region = if region == 0 {
             None
         } else {
             Some(bytes(region)?)
         };
-        file::warp(&bytes(file)?, &bytes(warp)?, region.as_deref()).map(Object::Buffer)
+        let (file, warp) = (bytes(file)?, bytes(warp)?);
+        file::warp(&file, &warp, region.as_deref(), is_gif != 0).map(Object::Buffer)
     })
 }
 

@@ -4,10 +4,16 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use mlswarp::warp::{Image, LabelImage};
+use mlswarp::warp::{Image, LabelImage, Region};
 use mlswarp::{PosedWarp, Warper};
 use mlswarp_contract::blend::Blend;
 use mlswarp_contract::problem::{Code, Problem};
+
+/// What an image shows: an image, and the region of it that moves.
+pub(crate) struct Outline {
+    pub(crate) image: Arc<Image>,
+    pub(crate) region: Option<Region>,
+}
 
 /// What a number stands for.
 pub(crate) enum Object {
@@ -16,6 +22,7 @@ pub(crate) enum Object {
     Plan(Box<Warper>),
     Pose(Box<PosedWarp>),
     Image(Arc<Image>),
+    Outline(Box<Outline>),
     Labels(Box<LabelImage>),
 }
 
@@ -44,6 +51,7 @@ kinds! {
     Warper: Plan "plan",
     PosedWarp: Pose "pose",
     Image: Image "image",
+    Outline: Outline "outline",
     LabelImage: Labels "label image",
     Blend: Blend "blend",
 }

@@ -210,6 +210,50 @@ test("errors have the code and the place that the service gives", async () => {
   assert.equal(engine.objects, 0);
 });
 
+test("what follows the outline of an image bends one leg alone", async () => {
+  const engine = await load();
+  const size = [60, 60];
+  const data = new Uint8ClampedArray(4 * 60 * 60);
+  // Two legs that join above.
+  for (let k = 0; k < 3600; k++)
+    data[4 * k + 3] = k < 1200 || Math.abs((k % 60) - 30) > 10 ? 255 : 0;
+  const rest = [10, 50].flatMap((x) => [5, 55].map((y) => [x, y]));
+  const posed = rest.map(([x, y], k) => (k === 1 ? [x - 6, y - 4] : [x, y]));
+  const moved = (options) => {
+    const plan = engine.plan(rest, { size, ...options });
+    const pose = plan.pose(posed);
+    const [x, y] = pose.points([[45, 50]]);
+    for (const held of [pose, plan]) held.dispose();
+    return Math.hypot(x - 45, y - 50);
+  };
+  const image = engine.image({ width: 60, height: 60, data });
+  const outline = engine.outline(image);
+  const across = moved({});
+  assert.ok(moved({ metric: "geodesic", outline }) < across / 3);
+  assert.ok(moved({ method: "arap", outline }) < across / 3);
+  assert.equal(moved({ outline }), across, "nothing else follows it");
+  for (const options of [{ metric: "geodesic" }, { method: "arap" }])
+    assert.throws(() => moved(options), MlswarpError);
+
+  // Of a file, and within a region; both may be images too.
+  const file = engine.outline(readFileSync("../../../../images/horse-cutout.png"));
+  const plan = engine.plan([[330, 215]], {
+    size: [800, 656],
+    metric: "geodesic",
+    outline: file,
+  });
+  const white = new Uint8ClampedArray(4 * 3600).fill(255);
+  const region = engine.image({ width: 60, height: 60, data: white });
+  const within = engine.outline(image, { region });
+  assert.ok(moved({ metric: "geodesic", outline: within }) < across / 3);
+  assert.throws(
+    () => engine.outline(readFileSync("../../../../images/chelsea.png"), { region }),
+    MlswarpError,
+  );
+  for (const held of [image, outline, file, plan, region, within]) held.dispose();
+  assert.equal(engine.objects, 0);
+});
+
 test("a thousand plans take the memory of one", async () => {
   const engine = await load();
   const once = () =>
