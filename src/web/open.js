@@ -440,7 +440,7 @@ export class Opener {
     }
     // What an outline separates stays apart, unless another choice was made.
     const isUsual = document.metric === undefined && !document.handles.length;
-    if (isCutout && isUsual && does.outlines) document = { ...document, metric: "geodesic" };
+    if (isCutout && isUsual) document = { ...document, metric: "geodesic" };
     const left = this.current;
     // A session of another user keeps its region. Otherwise the session without one is known, and
     // one with a mask is given it again.

@@ -28,8 +28,6 @@ export const does = {
   transport: isServed,
   /** Maps annotations. */
   annotations: isServed,
-  /** Follows the outline of a cut-out. */
-  outlines: isServed,
   /** Keeps sessions that others can open. */
   links: isServed,
 };

@@ -217,7 +217,7 @@ export class Sync {
       setup: setupOf(object),
       borrowed,
     };
-    this.view.isCut = object.metric === "geodesic";
+    this.view.isCut = isOutlined(object);
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session
     // (`#after`).
     const seq = object.seq ?? 0;

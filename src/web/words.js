@@ -665,7 +665,7 @@ export const NEEDS_SERVER = {
     internal: ["The engine has failed", "Undo the last step, or open a smaller picture."],
     no_such_session: ["The picture is not open any more", "Open it again."],
   },
-  all: "This page works without a server. Averages and morphs, animations as GIF or zip, methods that follow an outline, “Choose for me”, alignment, the exact map of annotations, links and commands need one.",
+  all: "This page works without a server. Averages and morphs, animations as zip, “Choose for me”, alignment, the exact map of annotations, links and commands need one.",
 };
 
 /**

@@ -18,9 +18,11 @@ from PIL import Image, ImageSequence
 
 from support import DEADLINE, Visited
 from test_access import faults
+from test_outline import change, mean_change
 
 ROOT = Path(__file__).resolve().parents[2]
 CAT = ROOT / "src/web/cat.jpg"
+HORSE = ROOT / "src/web/horse.webp"
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; "
     "img-src 'self' blob: data:; connect-src 'self'; worker-src 'self'"
@@ -114,22 +116,24 @@ def downloaded(page):
     return digest(page.saved("download")[1])
 
 
-def animated(page, frames):
+def animated(page, frames, kind="apng"):
     page.page.click("#export-open")
     page.page.click("label:has(#export-animation)")
-    assert page.page.locator("#export-file option:disabled").count() == 2
+    assert page.page.locator("#export-file option:disabled").count() == 1
+    page.page.select_option("#export-file", kind)
     page.page.fill("#export-frames", str(frames))
     page.page.locator("#export-back").set_checked(True)
     return page.saved("export-save")[1]
 
 
-def animation_by_server(server, saved, frames):
+def animation_by_server(server, saved, frames, picture=CAT, kind="apng"):
     q = saved.pop("q")
-    files = {"image": CAT.read_bytes(), "warp": json.dumps(saved).encode()}
+    files = {"image": picture.read_bytes(), "warp": json.dumps(saved).encode()}
     session = httpx.post(f"{server.address}/sessions", files=files, timeout=DEADLINE).json()
     batch = {"q": q, "steps": frames, "easing": "ease-in-out", "and_back": True}
+    batch["delay"] = 1500 // (frames - 1)
     address = f"{server.address}/sessions/{session['id']}/batch"
-    headers = {"Accept": "image/apng"}
+    headers = {"Accept": f"image/{kind}"}
     return httpx.post(address, json=batch, headers=headers, timeout=DEADLINE).content
 
 
@@ -204,14 +208,6 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
     page.page.reload()
     assert downloaded(page) == png and page.posed(0) == posed
 
-    # What needs a server says so, and undo leads back.
-    outlined = json.dumps({**page.warp(), "metric": "geodesic"}).encode()
-    file = {"name": "outlined.json", "mimeType": "application/json", "buffer": outlined}
-    page.page.set_input_files("#file", file)
-    page.body("[data-state=error][data-problem=needs_server]")
-    page.keys("Control+z")
-    assert downloaded(page) == png
-
     # A file that the engine refuses is told in its words, and nothing is lost.
     huge = {"name": "huge.bmp", "mimeType": "image/bmp", "buffer": BMP_OF_A_GIGAPIXEL}
     page.page.set_input_files("#file", huge)
@@ -221,3 +217,93 @@ def test_a_picture_is_opened_dragged_and_exported_as_by_the_server(visits, host,
 
     # Each plan that is replaced is freed.
     assert page.page.evaluate(PLANS_HELD, "page/cat.jpg") == [1, 1, 1, 0]
+
+
+def test_a_leg_of_a_cut_out_bends_alone_without_a_server(visits, host, server):
+    page = visits(of=host).body("[data-service=engine]")
+    page.page.click("#sample-horse")
+    page.ready()
+    sample = page.saved("download")[1]
+    assert page.page.is_checked("#metric-geodesic")
+    assert digest(sample) == digest(by_server(server, page.warp(), HORSE))
+
+    # One hind leg alone follows the pointer, in the preview too.
+    page.keys("Escape")
+    foot = tuple(page.warp()["q"][1])
+    page.press(foot, (foot[0] + 20, foot[1] - 15), (foot[0] + 40, foot[1] - 30))
+    page.body("[data-moving=true][data-source=mesh][data-residual]:not([data-residual=''])")
+    page.keep("static-outline-preview")
+    page.page.mouse.up()
+    page.ready()
+    page.keep("static-outline")
+    bent = page.saved("download")[1]
+    assert digest(bent) == digest(by_server(server, page.warp(), HORSE)) != digest(sample)
+    before, after = (Image.open(io.BytesIO(file)).convert("RGBA") for file in (sample, bent))
+    assert change(before, after, (160, 420, 260, 500)) > 50
+    assert mean_change(before, after, (60, 420, 150, 500)) < 1
+
+    # Puppet follows the outline too, and so does the threshold; undo leads back.
+    page.page.locator("#threshold").fill("0.8")
+    page.ready()
+    page.page.click("label:has(#method-arap)")
+    puppet = downloaded(page)
+    assert page.warp()["mask"] == {"threshold": 0.8} and page.warp()["method"] == "arap"
+    assert puppet == digest(by_server(server, page.warp(), HORSE)) != digest(bent)
+    page.keep("static-puppet")
+    page.keys("Control+z", "Control+z")
+    assert downloaded(page) == digest(bent)
+
+    # A pose that overtakes another one ends its picture.
+    page.drag((foot[0] + 40, foot[1] - 30), foot)
+    page.keys("Control+z")
+    assert downloaded(page) == digest(bent)
+
+    # On a canvas that shows all of it, a picture and an animation are those of the server.
+    page.page.select_option("#canvas", "fit")
+    page.ready()
+    box = [float(edge) for edge in page["canvas"].split(",")]
+    file = page.saved("download")[1]
+    assert digest(file) == digest(by_server(server, page.warp(), HORSE))
+    assert Image.open(io.BytesIO(file)).size == tuple(box[2:])
+    animation = animated(page, frames=3)
+    wanted = animation_by_server(server, page.warp(), 3, HORSE)
+    assert frames_of(animation) == frames_of(wanted)
+    wanted = animation_by_server(server, page.warp(), 3, HORSE, kind="gif")
+    assert digest(animated(page, frames=3, kind="gif")) == digest(wanted)
+
+    # A pin beside the outline is refused by the engine in the server's words.
+    beside = {"p": [[5, 5]], "q": [[5, 5]], "metric": "geodesic"}
+    file = {"name": "beside.json", "mimeType": "application/json"}
+    page.page.set_input_files("#file", {**file, "buffer": json.dumps(beside).encode()})
+    page.body("[data-problem=outside_mask]")
+
+
+def test_an_outline_needs_no_transparency(visits, host, server):
+    page = visits(of=host).body("[data-service=engine]")
+    page.open(CAT)
+    for place in ((120, 100), (300, 200), (60, 250), (400, 60)):
+        page.click(*place)
+    page.drag((120, 100), (150, 120))
+    plain = downloaded(page)
+
+    # Puppet follows the whole picture, where it is one.
+    page.page.click("label:has(#method-arap)")
+    whole = downloaded(page)
+    assert whole == digest(by_server(server, page.warp(), CAT)) != plain
+
+    # A region is an outline, and a new one is another.
+    page.keys("Control+z", "4")
+    page.drag((60, 20), (440, 20), (440, 290), (20, 290))
+    page.page.click("label:has(#metric-geodesic)")
+    page.keys("1")
+    inside = downloaded(page)
+    assert inside == digest(by_server(server, page.warp(), CAT))
+    page.keys("4")
+    page.page.click("label:has(#region-removes)")
+    page.drag((200, 0), (220, 0), (220, 140), (200, 140))
+    page.keys("1")
+    cut = downloaded(page)
+    assert cut == digest(by_server(server, page.warp(), CAT)) != inside
+    page.keep("static-region-outline")
+    page.keys("Control+z")
+    assert downloaded(page) == inside

@@ -163,5 +163,5 @@ export class AnimatedPng {
   }
 
   /** What follows the last frame. */
-  static end = () => chunk("IEND");
+  end = () => chunk("IEND");
 }

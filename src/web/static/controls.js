@@ -6,8 +6,8 @@ import { prepare as prepareEngine } from "./engine.js";
 
 /** Controls of the page that need a server, by their ids. */
 const CONTROLS = [
-  ...["blend-open", "sample-horse", "method-arap", "metric-geodesic", "fit"],
-  ...["align", "annotations-save", "copy-curl", "copy-link", "export-curl", "key-open"],
+  ...["blend-open", "fit", "align", "annotations-save"],
+  ...["copy-curl", "copy-link", "export-curl", "key-open"],
 ];
 
 /**
@@ -36,7 +36,7 @@ export function prepare() {
     if (control) switchOff(control);
   }
   for (const option of find("export-file").options) {
-    option.disabled = option.value !== "apng";
+    option.disabled = option.value === "zip";
     if (option.disabled) option.text += ` (${NEEDS_SERVER.option})`;
   }
   find("limits").after(words(NEEDS_SERVER.start));

@@ -1,15 +1,18 @@
 // On a static host: what the page asks of a server (api/openapi.json), answered by the engine. Not
 // served by the program.
 
-import { boxOf } from "../canvas.js";
-import { Mesh } from "../mesh.js";
+import { boxFrom } from "../canvas.js";
+import { known } from "../dom.js";
+import { isOutlined } from "../edits.js";
 import { EASINGS } from "../player.js";
 import { AnimatedPng } from "./apng.js";
+import { AnimatedGif } from "./gif.js";
 
 /** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerEngine} WorkerEngine */
+/** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerOutline} WorkerOutline */
 /** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerPlan} WorkerPlan */
 /** @typedef {import("../../../api/npm/engine/index.js").Handle} Handle */
-/** @typedef {import("../../../api/npm/engine/index.js").PlanOptions} PlanOptions */
+/** @typedef {import("../../../api/npm/engine/worker-engine.js").WorkerPlanOptions} PlanOptions */
 /** @typedef {import("../../../api/npm/engine/index.js").WarpObject} WarpObject */
 /** @typedef {"preview" | "files"} Purpose */
 /** @typedef {{ q: Page.WireHandle[], strength?: number }} Frame */
@@ -127,9 +130,9 @@ async function by(purpose, work) {
  *
  * @param {Blob} file
  * @param {object} warp
- * @param {{ region?: Blob | null, signal?: AbortSignal | null }} [how]
+ * @param {{ region?: Blob | null, signal?: AbortSignal | null, frame?: "gif" }} [how]
  */
-async function drawn(file, warp, { region, signal } = {}) {
+async function drawn(file, warp, { region, signal, frame } = {}) {
   const [bytes, mask] = await Promise.all([file.arrayBuffer(), region?.arrayBuffer()]);
   signal?.throwIfAborted();
   const engine = engineFor("files");
@@ -140,6 +143,7 @@ async function drawn(file, warp, { region, signal } = {}) {
     return await by("files", (engine) =>
       engine.warpFileWithReport(bytes, /** @type {WarpObject} */ (warp), {
         ...(mask && { region: mask }),
+        ...(frame && { frame }),
       }),
     );
   } catch (error) {
@@ -154,19 +158,46 @@ async function drawn(file, warp, { region, signal } = {}) {
 // Sessions
 
 /**
+ * What the newest plan with an outline follows. One at a time, since it holds a picture.
+ *
+ * @type {{ engine: WorkerEngine, file: Blob, region: Blob | null, outline: WorkerOutline } | null}
+ */
+let outlined = null;
+
+/**
+ * @param {WorkerEngine} engine
+ * @param {Handle[]} p
+ * @param {PlanOptions} options
+ * @param {Pick<Session, "file" | "region">} picture
+ */
+async function planInside(engine, p, options, { file, region }) {
+  let own = outlined;
+  if (own?.engine !== engine || own.file !== file || own.region !== region) {
+    const [bytes, mask] = await Promise.all([file.arrayBuffer(), region?.arrayBuffer()]);
+    const outline = await engine.outline(bytes, { ...(mask && { region: mask }) });
+    outlined?.outline.dispose();
+    outlined = own = { engine, file, region, outline };
+  }
+  // Without a wait, in which another request may dispose of it.
+  return engine.plan(p, { ...options, outline: own.outline });
+}
+
+/**
  * The plan of rest handles, and its grid.
  *
- * @param {Page.Rest} rest
- * @param {Page.Size} size
+ * @param {Pick<Session, "file" | "size" | "rest" | "region">} session
  * @returns {Promise<Planned>}
  */
-async function planned({ p, output: _, ...rest }, size) {
-  if (rest.method === "arap" || rest.metric === "geodesic")
-    throw new Refused(422, "needs_server", "What follows the outline of a picture needs a server.");
+async function planned(session) {
+  const { p, output: _, ...rest } = session.rest;
+  const { size } = session;
   return by("preview", async (engine) => {
     const options = /** @type {PlanOptions} */ ({ size, ...rest });
-    const plan = await engine.plan(/** @type {Handle[]} */ (p), options);
-    const pose = await plan.pose(/** @type {Handle[]} */ (p));
+    const handles = /** @type {Handle[]} */ (p);
+    const plan = isOutlined(session.rest)
+      ? await planInside(engine, handles, options, session)
+      : await engine.plan(handles, options);
+    const pose = await plan.pose(handles);
     const { columns, rows, xy } = await pose.mesh();
     pose.dispose();
     const [width, height] = size;
@@ -234,17 +265,14 @@ async function open(id, form, signal) {
   const file = /** @type {File} */ (form.get("image"));
   /** @type {Page.Rest} */
   const rest = JSON.parse(await /** @type {File} */ (form.get("warp")).text());
-  const size = await sizeOf(file, signal);
+  const picture = { file, size: await sizeOf(file, signal), rest, region: null };
   /** @type {Session} */
   const session = {
     id,
-    file,
-    size,
-    rest,
+    ...picture,
     revision: ++revisions,
-    region: null,
     seq: null,
-    planned: await planned(rest, size),
+    planned: await planned(picture),
   };
   // The same request, sent again.
   close(id);
@@ -260,19 +288,24 @@ function close(id) {
 }
 
 /**
+ * Replaces the handles at rest, or the region, which is a part of an outline.
+ *
  * @param {Session} session
- * @param {Page.Rest} rest
+ * @param {Partial<Pick<Session, "rest" | "region">>} change
  */
-async function replace(session, rest) {
-  const next = await planned(rest, session.size);
-  // After the wait, in which another request may have replaced it.
-  session.planned.plan.dispose();
-  Object.assign(session, { rest, planned: next, revision: ++revisions });
-  return described(session);
+async function replace(session, change) {
+  const after = { ...session, ...change };
+  if (change.rest || isOutlined(after.rest)) {
+    const next = await planned(after);
+    // After the wait, in which another request may have replaced it.
+    session.planned.plan.dispose();
+    Object.assign(session, { planned: next, revision: ++revisions });
+  }
+  return described(Object.assign(session, change));
 }
 
 /**
- * A pose by the engine: its grid, and what is said of it.
+ * A pose by the engine: the places of its grid, and what is said of it.
  *
  * @param {Session} session
  * @param {Frame} pose
@@ -280,13 +313,11 @@ async function replace(session, rest) {
 function posed(session, { q, strength }) {
   return by("preview", async (engine) => {
     // That of the plan may have crashed.
-    if (session.planned.engine !== engine)
-      session.planned = await planned(session.rest, session.size);
-    const { plan, grid } = session.planned;
-    const pose = await plan.pose(/** @type {Handle[]} */ (q), strength);
+    if (session.planned.engine !== engine) session.planned = await planned(session);
+    const pose = await session.planned.plan.pose(/** @type {Handle[]} */ (q), strength);
     const { xy } = await pose.mesh();
     pose.dispose();
-    return { mesh: new Mesh(grid, xy), report: pose.report };
+    return { xy, report: pose.report };
   });
 }
 
@@ -308,18 +339,13 @@ const headersOf = ({ folds, residual, warnings }) => ({
  * @param {AbortSignal | null | undefined} signal
  */
 async function picture(session, pose, signal) {
-  const { rest, size, region, file } = session;
-  const { canvas } = rest.output;
+  const { rest, region, file } = session;
   const warp = { ...rest, q: pose.q, output: { ...rest.output, ...pose.output } };
-  const [{ file: bytes, report }, fitted] = await Promise.all([
-    drawn(file, warp, { region, signal }),
-    canvas === "fit" ? posed(session, pose) : null,
-  ]);
-  const box = boxOf(canvas, size, fitted?.mesh ?? null, region !== null);
+  const { file: bytes, report } = await drawn(file, warp, { region, signal });
   return new Response(bytes, {
     headers: {
       ...headersOf(report),
-      ...(canvas !== "same" && { "Warp-Canvas": box.join() }),
+      ...(report.canvas && { "Warp-Canvas": report.canvas }),
       "Content-Type": `image/${pose.output?.format ?? "png"}`,
     },
   });
@@ -342,31 +368,34 @@ const mayHaveAlpha = ({ outside, holes }) =>
  * @param {AbortSignal | null | undefined} signal
  */
 async function surveyed(session, frames, signal) {
-  const { canvas } = session.rest.output;
-  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  const { rest, region, file } = session;
+  const { canvas } = rest.output;
+  let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
   for (const frame of frames) {
-    const { mesh } = await posed(session, frame);
+    await posed(session, frame);
     signal?.throwIfAborted();
-    const [x, y, width, height] = boxOf(canvas, session.size, mesh, session.region !== null);
-    [x, y, -x - width, -y - height].forEach((edge, k) => {
-      box[k] = k < 2 ? Math.min(box[k], edge) : Math.max(box[k], -edge);
-    });
+    if (canvas !== "fit") continue;
+    const small = { ...rest, ...frame, output: { ...rest.output, width: 1 } };
+    const { report } = await drawn(file, small, { region, signal });
+    const [x, y, width, height] = known(boxFrom(report.canvas));
+    [left, top] = [Math.min(left, x), Math.min(top, y)];
+    [right, bottom] = [Math.max(right, x + width), Math.max(bottom, y + height)];
   }
-  const [x, y, right, bottom] = box;
-  return canvas === "fit" ? { x, y, width: right - x, height: bottom - y } : canvas;
+  return canvas === "fit" ? { x: left, y: top, width: right - left, height: bottom - top } : canvas;
 }
 
 /**
- * An animated PNG, a frame at a time.
+ * An animation, a frame at a time.
  *
  * @param {Session} session
  * @param {{
  *   q: Page.WireHandle[], steps: number, easing: Page.Animation["easing"], frames?: Frame[],
  *   and_back?: boolean, delay: number, output?: Page.Output,
  * }} batch
+ * @param {boolean} isGif
  * @param {AbortSignal | null | undefined} signal
  */
-async function animation(session, { q, steps, easing, and_back, delay, ...more }, signal) {
+async function animation(session, { q, steps, easing, and_back, delay, ...more }, isGif, signal) {
   const inBetween = (/** @type {number} */ k) => EASINGS[easing](k / (steps - 1));
   const there =
     more.frames ?? Array.from({ length: steps }, (_, k) => ({ q, strength: inBetween(k) }));
@@ -376,21 +405,26 @@ async function animation(session, { q, steps, easing, and_back, delay, ...more }
   /** @type {Page.Rest["output"]} */
   const output = { ...rest.output, .../** @type {{}} */ (more.output), canvas };
   const draw = (/** @type {Frame} */ frame) =>
-    drawn(file, { ...rest, ...frame, output }, { region, signal });
-  const png = new AnimatedPng(frames.length, delay, mayHaveAlpha(output));
+    drawn(file, { ...rest, ...frame, output }, { region, signal, ...(isGif && { frame: "gif" }) });
+  const written = isGif
+    ? new AnimatedGif(delay)
+    : new AnimatedPng(frames.length, delay, mayHaveAlpha(output));
   let count = 0;
   const body = new ReadableStream({
     async pull(controller) {
       if (count === frames.length) {
-        controller.enqueue(await AnimatedPng.end());
+        controller.enqueue(await written.end());
         return controller.close();
       }
       const { file } = await draw(frames[count++]);
-      for (const part of await png.frame(file)) controller.enqueue(part);
+      for (const part of await written.frame(file)) controller.enqueue(part);
     },
   });
   return new Response(body, {
-    headers: { "Warp-Frames": String(frames.length), "Content-Type": "image/apng" },
+    headers: {
+      "Warp-Frames": String(frames.length),
+      "Content-Type": isGif ? "image/gif" : "image/apng",
+    },
   });
 }
 
@@ -437,25 +471,24 @@ async function routed({ pathname, searchParams }, { method = "GET", body, signal
       close(id);
       return json(null);
     case "PUT sessions handles":
-      return json(await replace(find(id), value()));
+      return json(await replace(find(id), { rest: value() }));
     case "PUT sessions layers region":
-      find(id).region = /** @type {Blob} */ (body);
-      return json(described(find(id)));
+      return json(await replace(find(id), { region: /** @type {Blob} */ (body) }));
     case "GET sessions layers region":
       return new Response(find(id).region);
     case "DELETE sessions layers region":
-      find(id).region = null;
-      return json(null);
+      return json(await replace(find(id), { region: null }));
     case "POST sessions mesh": {
-      const { mesh, report } = await posed(find(id), value());
-      return new Response(/** @type {BlobPart} */ (mesh.places), { headers: headersOf(report) });
+      const { xy, report } = await posed(find(id), value());
+      return new Response(xy, { headers: headersOf(report) });
     }
     case "POST sessions warp":
       return picture(find(id), value(), signal);
     case "POST sessions batch":
-      if (new Headers(headers).get("Accept") === "image/apng")
-        return animation(find(id), value(), signal);
-      throw new Refused(406, "needs_server", "Choose Animated PNG, which this page writes.");
+      const wanted = new Headers(headers).get("Accept");
+      if (wanted === "application/zip")
+        throw new Refused(406, "needs_server", "Choose an animated PNG or GIF.");
+      return animation(find(id), value(), wanted === "image/gif", signal);
     default:
       throw new Refused(404, "needs_server");
   }
