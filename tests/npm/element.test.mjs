@@ -524,6 +524,12 @@ describe("in Chromium", () => {
     const removed = await get(where, (element) => element.warp);
     assert.equal(removed.folds, "remove");
     assert.equal(await asByServer(removed), "0");
+    // What follows the outline of the picture has its grid from the engine, too.
+    const puppet = { p: pulled.p, q: [...corners, [130, 140]], method: "arap" };
+    await where.evaluate((warp) => (document.querySelector("mls-warp").warp = warp), puppet);
+    await ready(where);
+    assert.ok((await get(where, (element) => element.residual)) < 0.5);
+    await asByServer(puppet);
     await assert.rejects(asByServer({ ...removed, folds: "report" }), assert.AssertionError);
     // What the engine refuses names the handles.
     await get(
