@@ -201,9 +201,10 @@ pub(super) trait PointMap: CoefficientsOf<1> + CoefficientsOf<LANES> + Send + Sy
         true
     }
 
-    /// Operations for weighing a segment at a position. Moving least squares integrate over it.
+    /// Operations for weighing a segment at a position. Moving least squares integrate over it:
+    /// that takes as long as eight points, whose weights are a power without a logarithm.
     fn segment_operations(&self) -> u64 {
-        64
+        16
     }
 
     /// Operations for the coefficients of a position, beyond those of weighing each handle once.

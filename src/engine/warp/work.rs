@@ -9,6 +9,10 @@ use crate::deform::{Handle, RestDeformation};
 
 /// Operations for weighing a point at a position.
 const POINT_OPERATIONS: u64 = 2;
+/// Operations for a point of a set of which another one is left out: it is copied into a set of its
+/// own, whose rank is found and whose map is made, and weighed at one position, not at several at
+/// once.
+const LEFT_OUT_OPERATIONS: u64 = 8;
 /// Coefficients of a table that an operation poses.
 const COEFFICIENTS_PER_OPERATION: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.
@@ -57,7 +61,7 @@ pub(super) fn of_comparison(points: u64, candidates: &[Candidate]) -> u64 {
         Some(system) => (system.operations_of_comparison)(points),
         None => points
             .saturating_mul(points)
-            .saturating_mul(POINT_OPERATIONS),
+            .saturating_mul(LEFT_OUT_OPERATIONS),
     };
     candidates.iter().map(of).fold(0, u64::saturating_add)
 }
