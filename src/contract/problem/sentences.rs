@@ -2,7 +2,7 @@
 //! members, names of limits, or advice what to send instead, it is made here. Errors of files and
 //! of parameters bring their names with them.
 
-use mlswarp::deform::{DeformError, MeshQuantity};
+use mlswarp::deform::{DeformError, MeshQuantity, unfoldable};
 use mlswarp::warp::{GridError, Quantity, Task, WarpError};
 
 /// The name of a limit, the pointer to what exceeds it, and a sentence with `{}` for the value,
@@ -153,11 +153,11 @@ pub(super) fn of_warp(error: &WarpError) -> String {
         WarpError::OutsideOfLabels => {
             "outside, labels are 0: `outside` with a value does not apply to them".to_owned()
         }
-        WarpError::NotUnfolded => {
-            "`folds` can be `remove` with the methods `rigid`, `similarity`, `affine`, and `tps` \
-                without `smoothing`, and with the metric `euclidean`; use `report` or `reject` here"
-                .to_owned()
-        }
+        WarpError::NotUnfolded => format!(
+            "`folds` can be `remove` with the methods {}, and with the metric `euclidean`; use \
+                `report` or `reject` here",
+            unfoldable("`")
+        ),
         WarpError::NotCompared { method } => format!(
             "the method `{method}` is no candidate: methods are compared on points, without an \
                 image; leave it out"

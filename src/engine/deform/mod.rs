@@ -86,7 +86,9 @@ pub use members::ColumnMember;
 #[doc(hidden)]
 pub use methods::arap::factorisation;
 pub use methods::mls::falloff::Falloff;
-pub use methods::{AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, MethodSystem};
+pub use methods::{
+    AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, MethodSystem, unfoldable,
+};
 pub use overall::{Class, Fitted, PlaneMap, fitted};
 pub use parameters::{Parameter, Parameters};
 pub use point_map::{Identity, MeshMethod};

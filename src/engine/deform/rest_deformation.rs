@@ -229,17 +229,12 @@ impl RestDeformation {
         limits: (u64, u64),
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        if let Some(method) = &self.method.info().mesh {
+        let info = self.method.info();
+        if let Some(method) = &info.mesh {
             return self.on_mesh(method, mask, limits.1, cancelled);
         }
-        let wanted = match self.method {
-            Method::Rigid => CoefficientForm::Rigid,
-            Method::Similarity => CoefficientForm::Complex,
-            Method::Affine => CoefficientForm::Real,
-            method => {
-                let method = method.info().name;
-                return Err(DeformError::NoMetric { method });
-            }
+        let Some(wanted) = info.geodesic else {
+            return Err(DeformError::NoMetric { method: info.name });
         };
         let value = |path| self.parameters.get(path).unwrap_or(1.0);
         let falloff = Falloff::new(value("alpha"), self.handles.has_lines())?;

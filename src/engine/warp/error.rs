@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use std::fmt;
 
 use super::{GridSpec, Quantity};
-use crate::deform::{self, DeformError, METHODS, Method, MethodInfo, Parameter};
+use crate::deform::{self, DeformError, METHODS, Method, MethodInfo, Parameter, unfoldable};
 use crate::format::{CodecError, Dropped, Format, Repairs};
 use crate::geometry::DisplayNumber;
 use crate::pixmap::{Extent, PixelError};
@@ -206,9 +206,10 @@ impl fmt::Display for WarpError {
                 "the warp folds over itself in {cells} {} of the grid",
                 if *cells == 1 { "cell" } else { "cells" }
             ),
-            Self::NotUnfolded => f.write_str(
-                "folds can be removed with the methods rigid, similarity, affine and tps without \
-                    smoothing, and with distances in the plane",
+            Self::NotUnfolded => write!(
+                f,
+                "folds can be removed with the methods {}, and with distances in the plane",
+                unfoldable("")
             ),
             Self::Unreachable { handles } => write!(
                 f,

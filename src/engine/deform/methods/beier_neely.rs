@@ -79,6 +79,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     candidate_order: 5,
     system: None,
     mesh: None,
+    geodesic: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };

@@ -37,6 +37,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
     candidate_order: 4,
     system: None,
     mesh: None,
+    geodesic: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };

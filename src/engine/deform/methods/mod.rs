@@ -8,6 +8,7 @@ pub(super) mod global_affine;
 pub(super) mod mls;
 pub(super) mod thin_plate_spline;
 
+use super::form::CoefficientForm;
 use super::point_map::{MakeMap, MeshMethod};
 use super::{DeformError, Handle, Handles, NotTaken, Parameter, Parameters};
 
@@ -113,10 +114,26 @@ pub struct MethodInfo {
     pub system: Option<MethodSystem>,
     /// Its mesh, if it is known on a mesh of what the image shows only.
     pub mesh: Option<MeshMethod>,
+    /// The form of its coefficients where distances are measured inside a mask, if they can be.
+    pub(super) geodesic: Option<CoefficientForm>,
     /// The values of its parameters for handles.
     pub(super) resolve: fn(&Handles, &Parameters) -> Result<Parameters, DeformError>,
     /// Its map.
     pub(super) map: MakeMap,
+}
+
+/// The methods whose folds can be removed, as a sentence lists them. `mark`: around each name.
+#[must_use]
+pub fn unfoldable(mark: &str) -> String {
+    let marked = |name: &str| format!("{mark}{name}{mark}");
+    let with = |info: &&MethodInfo| match info.interpolation {
+        Interpolation::IfZero(path) => format!("{} without {}", marked(info.name), marked(path)),
+        Interpolation::Always | Interpolation::Never => marked(info.name),
+    };
+    let methods = METHODS.iter().copied().filter(|info| info.can_unfold);
+    let mut names: Vec<String> = methods.map(|info| with(&info)).collect();
+    let last = names.pop().unwrap_or_default();
+    format!("{}, and {last}", names.join(", "))
 }
 
 impl Method {

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::deform::{Handle, METHODS, Method};
 use crate::geometry::Point;
-use crate::warp::{Folds, GridSpec, Warning, WarpError};
+use crate::warp::{Folds, GridSpec, RestSpec, Warning, WarpError};
 use crate::{PosedWarp, Warper};
 
 fn point(v: &Value) -> [f64; 2] {
@@ -190,4 +190,18 @@ fn what_is_mended_covers_no_position_twice() {
         mended += 1;
     }
     assert!(mended >= 10 && remain <= 2, "{mended}, {remain}");
+}
+
+#[test]
+fn a_refusal_names_the_methods_whose_folds_can_be_removed() {
+    let told = WarpError::NotUnfolded.to_string();
+    for info in METHODS {
+        let rest = RestSpec {
+            method: info.method,
+            ..RestSpec::default()
+        };
+        let is_accepted = rest.check_folds(Folds::Remove).is_ok();
+        assert_eq!(told.contains(info.name), is_accepted, "{told}");
+    }
+    assert!(told.contains(", and tps without smoothing"), "{told}");
 }

@@ -78,6 +78,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
         bytes: bytes_for,
         make,
     }),
+    geodesic: None,
     resolve,
     map,
 };

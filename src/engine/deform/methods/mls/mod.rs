@@ -96,6 +96,7 @@ const fn info(method: Method, name: &'static str, title: &'static str) -> Method
         candidate_order: 0,
         system: None,
         mesh: None,
+        geodesic: None,
         resolve,
         map: |_| Err(DeformError::Cancelled),
     }
@@ -105,6 +106,7 @@ const fn info(method: Method, name: &'static str, title: &'static str) -> Method
 pub(super) static RIGID: MethodInfo = MethodInfo {
     sentence: "Rotation and translation only, without scaling, like cardboard.",
     candidate_order: 2,
+    geodesic: Some(CoefficientForm::Rigid),
     map: |input| map(input, CoefficientForm::Rigid),
     ..info(Method::Rigid, "rigid", "Rigid")
 };
@@ -114,6 +116,7 @@ pub(super) static SIMILARITY: MethodInfo = MethodInfo {
     sentence: "Allows scaling and keeps angles: use it to make something larger or smaller.",
     can_scale: true,
     candidate_order: 1,
+    geodesic: Some(CoefficientForm::Complex),
     map: |input| map(input, CoefficientForm::Complex),
     ..info(Method::Similarity, "similarity", "Similarity")
 };
@@ -123,6 +126,7 @@ pub(super) static AFFINE: MethodInfo = MethodInfo {
     sentence: "Also allows stretching and shear: follows the handles most freely.",
     can_mirror: true,
     can_scale: true,
+    geodesic: Some(CoefficientForm::Real),
     map: |input| map(input, CoefficientForm::Real),
     ..info(Method::Affine, "affine", "Affine")
 };

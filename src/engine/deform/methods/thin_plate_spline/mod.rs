@@ -76,6 +76,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
         operations_of_comparison: |points| operations(points).saturating_mul(4),
     }),
     mesh: None,
+    geodesic: None,
     resolve: |handles, given| given.resolved(&PARAMETERS, handles),
     map,
 };
