@@ -109,7 +109,8 @@ impl MappingJob {
                 Some((posed, _)) => self.setup.transform_of(&self.pose, posed),
                 None => self.setup.transform(&self.pose),
             };
-            let (transform, mut out) = (transform.onto(self.picture), Vec::new());
+            let transform = transform.onto(self.picture).after(cursor.taken);
+            let mut out = Vec::new();
             let more = self.annotations.map_part(
                 &mut cursor,
                 &transform,
@@ -117,6 +118,7 @@ impl MappingJob {
                 &mut reserve,
                 &mut out,
             )?;
+            cursor.taken = transform.taken();
             Ok::<_, Problem>((out, more))
         };
         let (out, more) = if self.is_long {

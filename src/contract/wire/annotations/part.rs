@@ -42,6 +42,8 @@ pub struct Cursor {
     has_fields: bool,
     is_bare: bool,
     tail: Tail,
+    /// Operations of the search of an inverse for the annotations before.
+    pub taken: u64,
 }
 
 /// How a part is mapped.

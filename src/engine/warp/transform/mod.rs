@@ -34,6 +34,8 @@ pub struct Transform<'a> {
     /// Operations of f at a position, and the most of all.
     per_position: u64,
     max_work: u64,
+    /// Operations of the search of an inverse for other positions of the same task.
+    before: u64,
 }
 
 #[derive(Debug)]
@@ -98,6 +100,7 @@ impl<'a> Transform<'a> {
             samples: AtomicUsize::new(0),
             per_position,
             max_work,
+            before: 0,
         }
     }
 
@@ -145,6 +148,27 @@ impl<'a> Transform<'a> {
         }
     }
 
+    /// The same map, for a task that has taken this many operations already
+    /// ([`Transform::taken`]).
+    #[must_use]
+    pub fn after(self, before: u64) -> Self {
+        Self { before, ..self }
+    }
+
+    /// Operations that the search of an inverse has taken, which beside folds may be a hundred
+    /// times as many as elsewhere.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        let PositionMap::Inverse(inverse) = &self.map else {
+            return self.before;
+        };
+        let of_steps = inverse.steps().saturating_mul(LANES as u64);
+        of_steps
+            .saturating_mul(self.per_position)
+            .saturating_add(inverse.boxes().saturating_mul(work::BOX_OPERATIONS))
+            .saturating_add(self.before)
+    }
+
     const fn frames(&self) -> (&CoordinateFrame, &CoordinateFrame) {
         match self.map {
             PositionMap::Forward(_) => (&self.rest, &self.posed),
@@ -183,13 +207,7 @@ impl<'a> Transform<'a> {
                 .map_all(places, cancelled)
                 .map(|mapped| mapped.into_iter().map(Some).collect()),
             PositionMap::Inverse(inverse) => {
-                // Beside folds, a search may take a hundred times as long as elsewhere.
-                let taken = inverse
-                    .steps()
-                    .saturating_mul(LANES as u64)
-                    .saturating_mul(self.per_position)
-                    .saturating_add(inverse.boxes().saturating_mul(work::BOX_OPERATIONS));
-                work::at_most(Task::Positions, self.max_work, taken)?;
+                work::at_most(Task::Positions, self.max_work, self.taken())?;
                 inverse.map(places, cancelled)
             }
             PositionMap::Drawn(mesh, unfolded) => map_drawn(mesh, unfolded, places, cancelled),

@@ -366,6 +366,19 @@ fn an_inverse_that_tries_every_cell_is_refused_in_the_middle() {
         ),
         "{error}"
     );
+    // The parts of a response are one task.
+    let next = |before| {
+        let part = Transform {
+            max_work: 2_000_000,
+            ..Transform::new(PositionMap::Inverse(Inverse::of_mesh(&mesh)), &setup)
+        };
+        part.after(before).map(&places[..1], NEVER)
+    };
+    assert!(next(0).is_ok());
+    assert!(matches!(
+        next(inverse.taken()),
+        Err(WarpError::TooMuchWork { .. })
+    ));
     let PositionMap::Inverse(inverse) = &inverse.map else {
         unreachable!()
     };
