@@ -63,8 +63,8 @@ impl Clock {
 }
 
 /// The task that is always ready. Before it sleeps, a pass without another task is not enough:
-/// tasks that have used up their turn come when no other is ready. So it waits as long as they do,
-/// and lets them come first.
+/// tasks that have used up their turn come when no other is ready, after the task that calls them
+/// to their next turn. So it waits as often as both do, and lets them come first.
 struct Metronome {
     clock: Arc<Clock>,
     idle_passes: u32,
@@ -77,8 +77,8 @@ impl Future for Metronome {
         let is_idle = self.clock.pass() < IDLE;
         self.idle_passes = if is_idle { self.idle_passes + 1 } else { 0 };
         match self.idle_passes {
-            2 => drop(pin!(yield_now()).poll(cx)),
-            0..=3 => cx.waker().wake_by_ref(),
+            2 | 4 | 6 | 8 => drop(pin!(yield_now()).poll(cx)),
+            0..=9 => cx.waker().wake_by_ref(),
             _ => {
                 self.idle_passes = 0;
                 *self.clock.metronome.lock().unwrap() = Some(cx.waker().clone());
