@@ -64,9 +64,12 @@ async function kindOf(file, most) {
   if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
   const value =
     /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
-  // A damaged one is told by its start.
-  if (value?.mlswarp_project !== undefined || beginsAsProject(await file.slice(0, 100).text()))
-    return "project";
+  // A damaged one is told by its start. One that is too large to be in memory may be unreadable.
+  const start = await file
+    .slice(0, 100)
+    .text()
+    .catch(() => "");
+  if (value?.mlswarp_project !== undefined || beginsAsProject(start)) return "project";
   if (isAnnotations(value) || /\.geojson$/i.test(file.name)) return "annotations";
   return value?.p && value.q ? "handles" : "landmarks";
 }
@@ -90,12 +93,16 @@ export function paired(list) {
 /**
  * What is used of some files, in the order of their names: { project, picture, handles,
  * annotations, unused }. A project is used alone. Two landmark files are rest and pose; a file with
- * both sides is used alone. `most`: bytes up to which JSON is looked into.
+ * both sides is used alone. `most`: bytes of the largest text, a project; what is larger is refused
+ * by its size, without being read. Throws a Problem.
  * @param {Iterable<File>} list
  * @param {number} most
  */
 export async function sorted(list, most) {
-  const files = [...list].toSorted(byName);
+  // A picture is read later: the page shows at once that it is being opened.
+  /** @type {(file: File) => File | Promise<File>} */
+  const read = (file) => (isPicture(file) || file.size > most ? file : inMemory(file));
+  const files = await Promise.all([...list].toSorted(byName).map(read));
   const kinds = await Promise.all(files.map((file) => kindOf(file, most)));
   /** @type {(kind: FileKind) => File[]} */
   const of = (kind) => files.filter((_, k) => kinds[k] === kind);

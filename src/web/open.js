@@ -152,17 +152,13 @@ export class Opener {
    */
   async files(list) {
     if (!list.length) return;
-    // The largest one is a project. What is larger is refused by its size, without being read.
-    const most = 2 * this.limits.body;
-    let files;
+    let found;
     try {
-      files = await Promise.all(
-        [...list].map((file) => (file.size > most ? file : inMemory(file))),
-      );
+      found = await sorted(list, 2 * this.limits.body);
     } catch (problem) {
       return this.#refuse(problem);
     }
-    const { project, picture, handles, annotations, unused } = await sorted(files, most);
+    const { project, picture, handles, annotations, unused } = found;
     if (project) await this.#project(project);
     else {
       try {
