@@ -84,6 +84,7 @@ def tree(name, folder):
     archive = subprocess.run(
         ["git", "archive", name, "src/web"], cwd=ROOT, check=True, stdout=subprocess.PIPE
     ).stdout
+    folder.mkdir()
     subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
     return folder / "src" / "web"
 
