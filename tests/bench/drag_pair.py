@@ -21,7 +21,7 @@ from statistics import median, quantiles
 
 from websockets.sync.client import connect
 
-from programs import Program, pose
+from programs import pose, running
 
 RATE = 125
 POSES = 3 * RATE
@@ -55,8 +55,7 @@ def drag(program, frames):
 
 def main():
     old, new, *drags = sys.argv[1:]
-    programs = [Program(old, 18181), Program(new, 18182)]
-    try:
+    with running(old, new) as programs:
         for frames in ("frames=png", "frames=jpeg", "frames=mesh"):
             runs = ([], [])
             for _ in range(int(drags[0]) if drags else 9):
@@ -68,10 +67,6 @@ def main():
             columns = zip(("frames/s", "p50", "p99"), before, after, strict=True)
             figures = (f"{name} {a:.2f} {b:.2f}, ratio {b / a:.3f}" for name, a, b in columns)
             print(f"{frames}: {'; '.join(figures)}", flush=True)
-    finally:
-        for program in programs:
-            program.process.terminate()
-            program.process.wait()
 
 
 if __name__ == "__main__":

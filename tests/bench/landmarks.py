@@ -16,7 +16,7 @@ import random
 import statistics
 import sys
 
-from programs import JSON, Program, multipart
+from programs import JSON, multipart, running
 
 WIDTH, HEIGHT, LEFT, TOP = 180, 220, 160, 140
 COUNTS = (68, 106, 478, 1000)
@@ -69,8 +69,7 @@ def drag(program, session, q):
 def main():
     old, new, *pairs = sys.argv[1:]
     pairs = int(pairs[0]) if pairs else 40
-    programs = [Program(old, 18181), Program(new, 18182)]
-    try:
+    with running(old, new) as programs:
         for method, kind, count in SETS:
             is_even, is_smooth = KINDS[kind]
             p = landmarks(count, is_even)
@@ -95,10 +94,6 @@ def main():
                 f"picture {firsts[0]:7.2f} {firsts[1]:6.2f} ms",
                 flush=True,
             )
-    finally:
-        for program in programs:
-            program.process.terminate()
-            program.process.wait()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ many responses were equal byte for byte. Both programs, and this one, share the 
 ratios of one run mean something.
 """
 
+import contextlib
 import http.client
 import json
 import pathlib
@@ -56,6 +57,20 @@ class Program:
         return self.ask("POST", f"/sessions/{self.session}/{route}", json.dumps(body), headers)
 
 
+@contextlib.contextmanager
+def running(*paths):
+    """Programs that end with the block, on ports of their own."""
+    programs = []
+    try:
+        for k, path in enumerate(paths):
+            programs.append(Program(path, 18181 + k))
+        yield programs
+    finally:
+        for program in programs:
+            program.process.terminate()
+            program.process.wait()
+
+
 def multipart(warp):
     boundary = uuid.uuid4().hex
     parts = [("image", PHOTO), ("warp", json.dumps(warp).encode())]
@@ -75,7 +90,6 @@ def pose(i):
 def main():
     old, new, *pairs = sys.argv[1:]
     pairs = int(pairs[0]) if pairs else 300
-    programs = [Program(old, 18181), Program(new, 18182)]
     requests = {
         "drag 500 x 500 PNG": (pairs, lambda program, i: program.drag(pose(i))),
         "drag width 1920": (pairs // 4, lambda program, i: program.drag(pose(i), width=1920)),
@@ -94,7 +108,7 @@ def main():
         ),
         "GET /healthz": (pairs, lambda program, i: program.ask("GET", "/healthz", None, {})),
     }
-    try:
+    with running(old, new) as programs:
         for name, (count, request) in requests.items():
             times, equal = ([], []), 0
             for i in range(count + WARM_UP):
@@ -111,10 +125,6 @@ def main():
                 f"{count + WARM_UP}",
                 flush=True,
             )
-    finally:
-        for program in programs:
-            program.process.terminate()
-            program.process.wait()
 
 
 if __name__ == "__main__":
