@@ -64,7 +64,7 @@ async function kindOf(file, most) {
   if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
   const value =
     /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
-  // A damaged one is told by its start. One that is too large to be in memory may be unreadable.
+  // A damaged one is known by its start. One that is too large to be in memory may be unreadable.
   const start = await file
     .slice(0, 100)
     .text()

@@ -249,7 +249,7 @@ pub(super) fn of_handles(error: &DeformError) -> String {
         }
         DeformError::NeedsMask { method } => format!(
             "the method `{method}` needs an image, whose outline its mesh follows; plans of the \
-                package for npm, blends, and requests without an image have none"
+                package for npm without an outline, blends, and requests without an image have none"
         ),
         DeformError::NotFinite { .. }
         | DeformError::OutOfRange { .. }

@@ -30,6 +30,7 @@ import { AnimatedGif } from "./gif.js";
  *   region: Blob | null,
  *   seq: number | null,
  *   planned: Planned,
+ *   replaced: Promise<unknown>,
  * }} Session
  */
 
@@ -273,6 +274,7 @@ async function open(id, form, signal) {
     revision: ++revisions,
     seq: null,
     planned: await planned(picture),
+    replaced: Promise.resolve(),
   };
   // The same request, sent again.
   close(id);
@@ -288,20 +290,25 @@ function close(id) {
 }
 
 /**
- * Replaces the handles at rest, or the region, which is a part of an outline.
+ * Replaces the handles at rest, or the region, which is a part of an outline; one after the other,
+ * since a plan is of both.
  *
  * @param {Session} session
  * @param {Partial<Pick<Session, "rest" | "region">>} change
  */
-async function replace(session, change) {
-  const after = { ...session, ...change };
-  if (change.rest || isOutlined(after.rest)) {
-    const next = await planned(after);
-    // After the wait, in which another request may have replaced it.
-    session.planned.plan.dispose();
-    Object.assign(session, { planned: next, revision: ++revisions });
-  }
-  return described(Object.assign(session, change));
+function replace(session, change) {
+  const replaced = session.replaced.then(async () => {
+    const after = { ...session, ...change };
+    if (change.rest || isOutlined(after.rest)) {
+      const next = await planned(after);
+      // After the wait, in which a pose may have replaced it.
+      session.planned.plan.dispose();
+      Object.assign(session, { planned: next, revision: ++revisions });
+    }
+    return described(Object.assign(session, change));
+  });
+  session.replaced = replaced.catch(() => {});
+  return replaced;
 }
 
 /**

@@ -50,6 +50,12 @@ pub(crate) fn plan(
 ) -> Result<Warper, Problem> {
     let mut object = read_object(warp)?;
     if let Some(Outline { image, region }) = outline {
+        let own = [image.extent().width(), image.extent().height()];
+        if own != size {
+            let [[w, h], [width, height]] = [own, size];
+            let detail = format!("the outline is of {w}x{h} px, and `size` is {width}x{height}");
+            return Err(Problem::new(Code::BadValue, detail));
+        }
         object.rest.make_mask(image, region.as_ref(), &|| false)?;
     }
     if object.is_auto

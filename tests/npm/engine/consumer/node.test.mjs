@@ -234,6 +234,9 @@ test("what follows the outline of an image bends one leg alone", async () => {
   assert.equal(moved({ outline }), across, "nothing else follows it");
   for (const options of [{ metric: "geodesic" }, { method: "arap" }])
     assert.throws(() => moved(options), MlswarpError);
+  assert.throws(() => engine.plan(rest, { size: [50, 60], metric: "geodesic", outline }), {
+    message: "the outline is of 60x60 px, and `size` is 50x60",
+  });
 
   // Of a file, and within a region; both may be images too.
   const file = engine.outline(readFileSync("../../../../images/horse-cutout.png"));
