@@ -97,3 +97,31 @@ async fn estimates_follow_the_flag_and_accept_what_is_usual() {
     // The largest comparison of the default candidates.
     assert!(check_comparison(2_000, &Candidate::defaults(), &Limits::default()).is_ok());
 }
+
+/// Where a pose folds, the search of an inverse takes far more operations than the estimate, so they
+/// are counted while it runs: those of all parts of an answer together.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_parts_of_an_inverse_are_one_task() {
+    let server = Server::start(&["--max-work", "20M"]).await;
+    let (p, q) = (places(7), vec![[300, 200]; 7]);
+    let inverse = json!({
+        "p": p, "q": q, "method": "affine", "extent": [640, 400], "inverse": true, "points": []
+    });
+    // All of the image is drawn beside these. Their text is so long that a part has 2,500 of them.
+    let position = |k| format!("[300.{k:05}{},200]", "0".repeat(90));
+    let is_answered = async |count: usize| {
+        let points = format!(
+            "\"points\":[{}]",
+            (0..count).map(position).collect::<Vec<_>>().join(",")
+        );
+        let body = inverse.to_string().replace("\"points\":[]", &points);
+        let request = server.post("/points").body(body);
+        let answer = request.header("content-type", "application/json").send();
+        let answer = answer.await.unwrap();
+        assert_eq!(answer.status(), 200);
+        // What is too much is known when the first parts have been sent: the answer breaks off.
+        answer.bytes().await.is_ok()
+    };
+    assert!(is_answered(2_000).await);
+    assert!(!is_answered(8_000).await);
+}

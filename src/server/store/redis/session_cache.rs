@@ -1,6 +1,7 @@
 //! What the server last said about the sessions used in this process. Bounded in bytes; the least
 //! recently used are forgotten first.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -43,6 +44,34 @@ pub(crate) struct SessionCache {
 struct SessionCacheState {
     sessions: LruCache<SessionId, Arc<CachedSession>>,
     bytes: u64,
+    /// How often sessions of an owner name a file.
+    names: HashMap<(Owner, Digest), usize>,
+}
+
+impl SessionCacheState {
+    fn put(&mut self, cached: CachedSession) {
+        let record = &cached.record;
+        self.bytes += record_bytes(record);
+        for file in record.files() {
+            *self.names.entry((record.id.owner(), file)).or_default() += 1;
+        }
+        self.sessions.put(record.id, Arc::new(cached));
+    }
+
+    /// Takes away what [`Self::put`] has added for a session that is no longer cached.
+    fn uncount(&mut self, record: &Record) {
+        self.bytes -= record_bytes(record);
+        for file in record.files() {
+            let named = (record.id.owner(), file);
+            let Some(names) = self.names.get_mut(&named) else {
+                continue;
+            };
+            *names -= 1;
+            if *names == 0 {
+                self.names.remove(&named);
+            }
+        }
+    }
 }
 
 impl SessionCache {
@@ -53,6 +82,7 @@ impl SessionCache {
             state: Mutex::new(SessionCacheState {
                 sessions: LruCache::unbounded(),
                 bytes: 0,
+                names: HashMap::new(),
             }),
         }
     }
@@ -67,24 +97,21 @@ impl SessionCache {
     pub(crate) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
         let mut state = self.lock();
         let before = state.sessions.pop(&record.id);
-        state.bytes -= before
-            .as_ref()
-            .map_or(0, |before| record_bytes(&before.record));
+        if let Some(before) = &before {
+            state.uncount(&before.record);
+        }
         let before = before.filter(|before| before.record.created == record.created);
         let seq = seq.max(before.and_then(|before| before.progress().seq));
-        state.bytes += record_bytes(&record);
         let progress = Mutex::new(SessionProgress {
             seq,
             confirmed: Instant::now(),
         });
-        state
-            .sessions
-            .put(record.id, Arc::new(CachedSession { record, progress }));
+        state.put(CachedSession { record, progress });
         while state.bytes > self.limit {
             let Some((_, oldest)) = state.sessions.pop_lru() else {
                 break;
             };
-            state.bytes -= record_bytes(&oldest.record);
+            state.uncount(&oldest.record);
         }
     }
 
@@ -100,7 +127,7 @@ impl SessionCache {
     pub(crate) fn forget(&self, id: SessionId) {
         let mut state = self.lock();
         if let Some(cached) = state.sessions.pop(&id) {
-            state.bytes -= record_bytes(&cached.record);
+            state.uncount(&cached.record);
         }
     }
 
@@ -116,7 +143,7 @@ impl SessionCache {
             && state.sessions.peek_lru().is_some_and(is_over)
             && let Some((_, cached)) = state.sessions.pop_lru()
         {
-            state.bytes -= record_bytes(&cached.record);
+            state.uncount(&cached.record);
             swept += 1;
         }
         swept
@@ -124,9 +151,7 @@ impl SessionCache {
 
     /// Whether a cached session of that owner names that file.
     pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.lock().sessions.iter().any(|(id, cached)| {
-            id.owner() == owner && cached.record.files().any(|file| file == digest)
-        })
+        self.lock().names.contains_key(&(owner, digest))
     }
 
     /// The number of sessions, and their bytes.
@@ -163,6 +188,17 @@ mod tests {
             !cache.names(records[16].id.owner(), records[16].image)
                 && cache.names(records[15].id.owner(), records[15].image)
         );
+        // One session that names a file is enough.
+        let again = Arc::new(Record {
+            id: SessionId::random(Owner::ANYBODY),
+            ..Record::clone(&records[15])
+        });
+        cache.learn(Arc::clone(&again), None);
+        cache.learn(Arc::clone(&again), None);
+        cache.forget(again.id);
+        assert!(cache.names(again.id.owner(), again.image));
+        cache.forget(records[15].id);
+        assert!(!cache.names(again.id.owner(), again.image));
         let brief = SessionCache::new(Duration::ZERO, 1 << 20);
         brief.learn(Arc::clone(&records[0]), None);
         assert!(brief.get(records[0].id).is_none());
@@ -171,5 +207,7 @@ mod tests {
             brief.learn(suite::record(1), None);
         }
         assert_eq!((brief.sweep(), brief.size()), (SWEPT_AT_ONCE, (1, 512)));
+        brief.sweep();
+        assert!(brief.lock().names.is_empty());
     }
 }
