@@ -98,8 +98,8 @@ async fn estimates_follow_the_flag_and_accept_what_is_usual() {
     assert!(check_comparison(2_000, &Candidate::defaults(), &Limits::default()).is_ok());
 }
 
-/// Where a pose folds, the search of an inverse takes far more operations than the estimate, so they
-/// are counted while it runs: those of all parts of an answer together.
+/// Where a pose folds, the search for an inverse takes far more operations than the estimate. They
+/// are counted while it runs, those of all parts of an answer together.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_parts_of_an_inverse_are_one_task() {
     let server = Server::start(&["--max-work", "20M"]).await;

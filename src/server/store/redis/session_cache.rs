@@ -2,6 +2,7 @@
 //! recently used are forgotten first.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -44,7 +45,8 @@ pub(crate) struct SessionCache {
 struct SessionCacheState {
     sessions: LruCache<SessionId, Arc<CachedSession>>,
     bytes: u64,
-    /// How often sessions of an owner name a file.
+    /// How often sessions of an owner name a file. Without this, each image that leaves the cache
+    /// of images would be sought in all sessions.
     names: HashMap<(Owner, Digest), usize>,
 }
 
@@ -62,13 +64,11 @@ impl SessionCacheState {
     fn uncount(&mut self, record: &Record) {
         self.bytes -= record_bytes(record);
         for file in record.files() {
-            let named = (record.id.owner(), file);
-            let Some(names) = self.names.get_mut(&named) else {
-                continue;
-            };
-            *names -= 1;
-            if *names == 0 {
-                self.names.remove(&named);
+            if let Entry::Occupied(mut names) = self.names.entry((record.id.owner(), file)) {
+                *names.get_mut() -= 1;
+                if *names.get() == 0 {
+                    names.remove();
+                }
             }
         }
     }
