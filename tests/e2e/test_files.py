@@ -55,6 +55,11 @@ def changed(visit, *paths):
              { type: "file", id: "chosen", multiple: true }))"""
     )
     visit.page.set_input_files("#chosen", paths)
+    # A browser notes size and time of a chosen file in its own time; once it has read, it has noted.
+    visit.page.evaluate(
+        """() => Promise.all(
+             Array.from(document.querySelector("#chosen").files, (file) => file.arrayBuffer()))"""
+    )
     for path in paths:
         path.write_bytes(path.read_bytes() + b"\n")
         # They tell by the time, which may be of the same second.
