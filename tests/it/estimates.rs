@@ -125,3 +125,26 @@ async fn the_parts_of_an_inverse_are_one_task() {
     assert!(is_answered(2_000).await);
     assert!(!is_answered(8_000).await);
 }
+
+/// The edges of all parts of an answer count together too.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_parts_of_outlines_are_one_task() {
+    let server = Server::start(&["--max-work", "1M"]).await;
+    let p = places(7);
+    let outlines = json!({"p": p, "q": p, "extent": [640, 400], "polygons": []});
+    // An edge of 400 px is examined at 50 positions. Their text is so long that a part has 650.
+    let zeros = "0".repeat(400);
+    let position = |k| format!("[{}.{zeros},0]", 100 + k % 2 * 400);
+    let ring = (0..50).map(position).collect::<Vec<_>>().join(",");
+    let is_answered = async |count: usize| {
+        let rings = vec![format!("[{ring}]"); count].join(",");
+        let body = outlines.to_string().replace("[]", &format!("[{rings}]"));
+        let request = server.post("/points").body(body);
+        let answer = request.header("content-type", "application/json").send();
+        let answer = answer.await.unwrap();
+        assert_eq!(answer.status(), 200);
+        answer.bytes().await.is_ok()
+    };
+    assert!(is_answered(20).await);
+    assert!(!is_answered(60).await);
+}

@@ -90,6 +90,8 @@ pub use self::spec::{
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::summary::RestSummary;
 pub use self::target::{CanvasSpec, FARTHEST_EDGE_PX, Target};
-pub use self::transform::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, Transform, samples_of};
+pub use self::transform::{
+    Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, Taken, Transform, samples_of,
+};
 pub use crate::deform::Method;
 pub use crate::format::ImageLimits;

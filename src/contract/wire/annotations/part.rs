@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use mlswarp::deform::IsCancelled;
-use mlswarp::warp::{MappedOutline, Outline, Transform, WarpError};
+use mlswarp::warp::{MappedOutline, Outline, Taken, Transform, WarpError};
 
 use super::super::json::{At, Node, next_value};
 use super::super::work::Work;
@@ -42,8 +42,8 @@ pub struct Cursor {
     has_fields: bool,
     is_bare: bool,
     tail: Tail,
-    /// Operations of the search of an inverse for the annotations before.
-    pub taken: u64,
+    /// By the annotations before.
+    pub taken: Taken,
 }
 
 /// How a part is mapped.

@@ -6,7 +6,7 @@ mod outlines;
 #[cfg(test)]
 mod tests;
 
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::parallel::prelude::*;
 
@@ -30,12 +30,20 @@ pub struct Transform<'a> {
     /// Those of the source and of the picture.
     rest: CoordinateFrame,
     posed: CoordinateFrame,
+    /// Those at which edges were examined, of all parts of the task.
     samples: AtomicUsize,
     /// Operations of f at a position, and the most of all.
     per_position: u64,
     max_work: u64,
     /// Operations of the search of an inverse for other positions of the same task.
     before: u64,
+}
+
+/// What a task has taken so far of what it may take, so that its parts count together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Taken {
+    operations: u64,
+    samples: usize,
 }
 
 #[derive(Debug)]
@@ -148,17 +156,29 @@ impl<'a> Transform<'a> {
         }
     }
 
-    /// The same map, for a task that has taken this many operations already
-    /// ([`Transform::taken`]).
+    /// The same map, for a task of which other parts have taken this ([`Transform::taken`]).
     #[must_use]
-    pub fn after(self, before: u64) -> Self {
-        Self { before, ..self }
+    pub fn after(self, before: Taken) -> Self {
+        Self {
+            before: before.operations,
+            samples: AtomicUsize::new(before.samples),
+            ..self
+        }
+    }
+
+    /// What the task has taken: positions at which edges were examined, and operations of the
+    /// search of an inverse.
+    #[must_use]
+    pub fn taken(&self) -> Taken {
+        Taken {
+            operations: self.operations(),
+            samples: self.samples.load(Ordering::Relaxed),
+        }
     }
 
     /// Operations that the search of an inverse has taken, which beside folds may be a hundred
     /// times as many as elsewhere.
-    #[must_use]
-    pub fn taken(&self) -> u64 {
+    fn operations(&self) -> u64 {
         let PositionMap::Inverse(inverse) = &self.map else {
             return self.before;
         };
@@ -207,7 +227,7 @@ impl<'a> Transform<'a> {
                 .map_all(places, cancelled)
                 .map(|mapped| mapped.into_iter().map(Some).collect()),
             PositionMap::Inverse(inverse) => {
-                work::at_most(Task::Positions, self.max_work, self.taken())?;
+                work::at_most(Task::Positions, self.max_work, self.operations())?;
                 inverse.map(places, cancelled)
             }
             PositionMap::Drawn(mesh, unfolded) => map_drawn(mesh, unfolded, places, cancelled),

@@ -16,7 +16,9 @@ const EDGE_SPACING_PX: f64 = 8.0;
 const MOST_PARTS: usize = 1024;
 /// A part of an edge is halved at most this often.
 const MAX_EDGE_HALVINGS: usize = 6;
-/// Positions at which the edges that a [`Transform`] maps are examined, beyond one for each edge.
+/// Positions at which the edges of a task are examined, beyond one for each edge. The parts of an
+/// answer are one task ([`Transform::after`]); each frame of a batch, which waits for a worker and
+/// for its reader as a drawing does, is one of its own.
 pub const MAX_EDGE_SAMPLES: usize = 1 << 21;
 
 /// The vertices that are inserted into an edge: the share of the edge at each, and its mapped

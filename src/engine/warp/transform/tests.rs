@@ -1,5 +1,3 @@
-use std::sync::atomic::Ordering;
-
 use super::outlines::to_segment;
 use super::*;
 use crate::deform::Handle;
@@ -305,6 +303,19 @@ fn work_is_bounded_and_positions_are_checked() {
         ),
         "{error}"
     );
+    // What has been examined counts for the next part of the task.
+    let of_next = |next: Transform<'_>| {
+        let outline = Outline {
+            places: &far[..2],
+            edges: Edges::Open,
+        };
+        next.map_outlines(&[outline], Some(0.1), NEVER)
+    };
+    assert!(of_next(setup.transform(&pose)).is_ok());
+    assert!(matches!(
+        of_next(setup.transform(&pose).after(f.taken())),
+        Err(WarpError::TooLarge { .. })
+    ));
     let (near, bad) = (
         square(1.0, 9.0),
         [Point::new(0.0, 0.0), Point::new(0.0, 2e6)],
@@ -374,7 +385,7 @@ fn an_inverse_that_tries_every_cell_is_refused_in_the_middle() {
         };
         part.after(before).map(&places[..1], NEVER)
     };
-    assert!(next(0).is_ok());
+    assert!(next(Taken::default()).is_ok());
     assert!(matches!(
         next(inverse.taken()),
         Err(WarpError::TooMuchWork { .. })
