@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::cell::RefCell;
 
-use super::coefficient_table::{PoseQuality, to_f32, vertex};
+use super::coefficient_table::{PoseQuality, to_f32};
 use super::columns::{Element, Rank, RestSegment};
 use super::form::{displacement, rotation};
 use super::lanes::{LANES, Vertices, gather};
@@ -253,11 +253,14 @@ impl<'a> PosedMap<'a> {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<(Mesh, PoseQuality)> {
-        let columns = grid.columns() as usize;
         let (displacement, least_rotation) = if pose.is_identity() {
             (vec![[0.0; 2]; grid.len()], 1.0)
         } else {
-            let places: Vec<Point> = (0..grid.len()).map(|k| vertex(grid, columns, k)).collect();
+            let across: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
+            let mut places = Vec::with_capacity(grid.len());
+            for y in (0..grid.rows()).map(|j| grid.y(j)) {
+                places.extend(across.iter().map(|x| Point::new(*x, y)));
+            }
             self.displaced(&places, cancelled)?
         };
         let quality = PoseQuality { least_rotation };
@@ -298,7 +301,9 @@ impl<'a> PosedMap<'a> {
                 .collect();
             blocks?.concat()
         };
-        let least = single.iter().fold(1.0, |least, [_, _, m]| m.min(least));
+        // Of positive numbers, the bits have the same order; their minimum is found by vectors.
+        let least = single.iter().map(|[_, _, m]| m.to_bits()).min();
+        let least = least.map_or(1.0, f32::from_bits).min(1.0);
         Some((single.into_iter().map(|[x, y, _]| [x, y]).collect(), least))
     }
 

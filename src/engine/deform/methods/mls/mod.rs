@@ -14,16 +14,18 @@ mod quick_moments;
 pub(in crate::deform) mod row;
 pub(in crate::deform) mod segment_moments;
 mod segments;
+mod single_sums;
 
 use std::sync::Arc;
 
-use self::falloff::Falloff;
+use self::falloff::{Falloff, Power};
 use self::fitted_moments::{affine_factors, similarity_factors};
 use self::incomplete_beta::IncompleteBeta;
 use self::metric::Euclidean;
 use self::moments::MomentInputs;
 use self::posed_sums::PosedSums;
 use self::row::RowInputs;
+use self::single_sums::SingleSums;
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
 use crate::deform::columns::{PointSource, Rank, rank};
 use crate::deform::form::CoefficientForm;
@@ -40,6 +42,9 @@ use crate::level::SimdLevel;
 
 /// Sets of more points are posed by moments where rows are used once.
 const MANY_POINTS: usize = 128;
+/// Sets of more points are posed by sums in single precision where these are precise; of fewer, a
+/// table takes less time.
+const SOME_POINTS: usize = 32;
 /// The largest alpha at which affine moments are accurate: above it, the weights at most positions
 /// differ by more than numbers hold.
 const MOST_AFFINE: f64 = 2.0;
@@ -180,6 +185,17 @@ pub(super) fn determined(form: CoefficientForm, rank: Rank) -> (CoefficientForm,
     }
 }
 
+/// What a pose is computed from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Quickest {
+    /// Coefficients that are kept.
+    Coefficients,
+    /// Sums in single precision.
+    SingleSums,
+    /// Moments, from tiles where alpha allows it.
+    Moments,
+}
+
 /// A map that is fitted at every position.
 #[derive(Clone, Debug)]
 struct MovingLeastSquares {
@@ -225,9 +241,23 @@ impl MovingLeastSquares {
         kernel::rows(&inputs, v, scratch, rows);
     }
 
-    /// Whether moments take less time than a row that is used once.
-    fn prefers_moments(&self, set: &RestSet) -> bool {
-        set.sources.points.len() > MANY_POINTS && self.has_moments(set)
+    /// What takes the least time for a pose.
+    fn quickest(&self, set: &RestSet) -> Quickest {
+        let points = &set.sources.points;
+        if points.len() <= SOME_POINTS || !self.has_moments(set) {
+            return Quickest::Coefficients;
+        }
+        if points.len() > MANY_POINTS {
+            return Quickest::Moments;
+        }
+        let is_single = self.falloff.power() == Power::One
+            && set.form != CoefficientForm::Real
+            && points.iter().all(|source| source.mass == points[0].mass);
+        if is_single {
+            Quickest::SingleSums
+        } else {
+            Quickest::Coefficients
+        }
     }
 }
 
@@ -275,12 +305,16 @@ impl PointMap for MovingLeastSquares {
     }
 
     fn has_table(&self, set: &RestSet) -> bool {
-        !(self.prefers_moments(set) && MomentInputs::are_tiled(self.falloff))
+        match self.quickest(set) {
+            Quickest::Coefficients => true,
+            Quickest::SingleSums => false,
+            Quickest::Moments => !MomentInputs::are_tiled(self.falloff),
+        }
     }
 
     fn keeps_coefficients(&self, set: &RestSet) -> bool {
-        // Of many points they exceed any memory, and moments take little longer than reading them.
-        !self.prefers_moments(set)
+        // Of many points they exceed any memory, and sums take little longer than reading them.
+        self.quickest(set) == Quickest::Coefficients
     }
 
     fn posed<'a>(
@@ -289,16 +323,14 @@ impl PointMap for MovingLeastSquares {
         displacements: &'a [Vec2],
         exact: bool,
     ) -> Option<Box<dyn PosedWithoutCoefficients + 'a>> {
-        if exact || !self.prefers_moments(set) {
-            return None;
+        let (points, falloff) = (&set.sources.points, self.falloff);
+        let d = displacements;
+        match self.quickest(set) {
+            _ if exact => None,
+            Quickest::Coefficients => None,
+            Quickest::SingleSums => Some(Box::new(SingleSums::new(points, d, falloff, set.form))),
+            Quickest::Moments => Some(Box::new(MomentInputs::new(points, d, falloff, set.form))),
         }
-        let points = &set.sources.points;
-        Some(Box::new(MomentInputs::new(
-            points,
-            displacements,
-            self.falloff,
-            set.form,
-        )))
     }
 
     fn posed_once<'a>(
@@ -320,6 +352,23 @@ impl PointMap for MovingLeastSquares {
 impl<const N: usize> DisplacementsOf<N> for MomentInputs<'_> {
     fn displacements(&self, _: &Vertices<N>) -> Option<Displacements<N>> {
         None
+    }
+}
+
+impl<const N: usize> DisplacementsOf<N> for SingleSums<'_> {
+    fn displacements(&self, _: &Vertices<N>) -> Option<Displacements<N>> {
+        None
+    }
+}
+
+impl PosedWithoutCoefficients for SingleSums<'_> {
+    fn displaced(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Option<Vec<[f32; 3]>>> {
+        let displaced = self.displaced_at(SimdLevel::detect(), places, cancelled);
+        displaced.map(Some)
     }
 }
 

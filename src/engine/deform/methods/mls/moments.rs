@@ -23,6 +23,9 @@ use crate::geometry::lane_math::hypot;
 use crate::geometry::{Point, Vec2};
 use crate::level::SimdLevel;
 
+#[cfg(test)]
+pub(super) use self::tests::set;
+
 /// Vertices that are anchored at once.
 const ANCHORED_VERTICES: usize = 8;
 /// Nodes of a tile along each axis: those of the Chebyshev polynomial of this degree.
@@ -372,7 +375,13 @@ mod tests {
 
     const METHODS: [Method; 3] = [Method::Affine, Method::Similarity, Method::Rigid];
 
-    fn set(method: Method, alpha: f64, count: u32, seed: u32) -> (RestDeformation, Pose) {
+    /// Scattered points and their pose; of odd seeds they have weights.
+    pub(in super::super) fn set(
+        method: Method,
+        alpha: f64,
+        count: u32,
+        seed: u32,
+    ) -> (RestDeformation, Pose) {
         let noise = |k: u32, n: u32| {
             f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8)
                 / f64::from(1_u32 << 24)

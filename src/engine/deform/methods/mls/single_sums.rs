@@ -1,0 +1,382 @@
+//! f of one pose at many positions from some dozen points of equal mass with alpha 1, similarity or
+//! rigid, in single precision: their weights are computed again for each position, which takes less
+//! time than reading as many coefficients from memory.
+//!
+//! With `w = 1 / |p - v|^2`, the sums are those of w, w p, w d and w conj(p) d about the middle of
+//! the points. No sum of w |p|^2 is needed: about v itself, that of each point is 1, so the second
+//! moment does not cancel however near v is to a point. The others do, very near to a point, and so
+//! do all far from the points, compared with their spread. Such positions are computed in f64
+//! ([`MomentInputs`]).
+
+use std::sync::OnceLock;
+
+use super::falloff::Falloff;
+use super::moments::MomentInputs;
+use crate::deform::IsCancelled;
+use crate::deform::coefficient_table::to_f32;
+use crate::deform::columns::PointSource;
+use crate::deform::form::CoefficientForm;
+use crate::deform::kernel::{LaneWork, run_at};
+use crate::deform::lanes::LANES;
+use crate::geometry::{Point, Vec2};
+use crate::level::SimdLevel;
+use crate::parallel::prelude::*;
+
+/// Positions of a task.
+const POSITIONS_PER_TASK: usize = 512;
+/// Points nearer than the root of this count as that far away, px^2: their weights stay finite.
+const LEAST_SQUARE: f32 = 1e-12;
+/// The least |m| at which a rotation is precise.
+const LEAST_ROTATION: f32 = 1e-3;
+/// A position is precise up to this ratio of its distance from the origin to that of its nearest
+/// point: rounding this point's sums moves f by at most about 2^-24 of it, over the number of
+/// points, times its displacement.
+const MOST_NEARER: f32 = 512.0;
+/// The same for the product of |v - p*| and the root of the second moment about v, over the second
+/// moment about p*: 2^-24 of it, times the displacements, whatever the number of points.
+const MOST_CANCELLED: f32 = 32.0;
+
+type SingleLanes = [f32; LANES];
+
+/// What the weight of a point is multiplied by.
+#[derive(Clone, Copy, Debug)]
+struct SingleFactors {
+    /// The point from the origin, px.
+    p: [f32; 2],
+    /// Its displacement beyond the common one, px.
+    d: [f32; 2],
+    /// conj(p) d.
+    p_d: [f32; 2],
+}
+
+/// The sums of w, w p, w d, w conj(p) d.
+struct SingleMoments {
+    w: SingleLanes,
+    p: [SingleLanes; 2],
+    d: [SingleLanes; 2],
+    p_d: [SingleLanes; 2],
+}
+
+/// What does not depend on the positions.
+#[derive(Debug)]
+pub(super) struct SingleSums<'a> {
+    points: &'a [PointSource],
+    /// Displacements of the points, px.
+    d: &'a [Vec2],
+    falloff: Falloff,
+    form: CoefficientForm,
+    /// The mean of the points, and that of the displacements.
+    origin: Point,
+    shift: Vec2,
+    factors: Vec<SingleFactors>,
+    /// For positions that are not precise.
+    moments: OnceLock<MomentInputs<'a>>,
+}
+
+impl<'a> SingleSums<'a> {
+    /// `d`: the displacements of the points, px.
+    pub(super) fn new(
+        points: &'a [PointSource],
+        d: &'a [Vec2],
+        falloff: Falloff,
+        form: CoefficientForm,
+    ) -> Self {
+        let share = 1.0 / points.len() as f64;
+        let (mut origin, mut shift) = (points[0].p, Vec2::ZERO);
+        for (source, d) in points.iter().zip(d) {
+            // Handles far from the origin of the picture, or moved together, lose no digits
+            // (mathematics 7.3).
+            (origin, shift) = (
+                origin + (source.p - points[0].p) * share,
+                shift + *d * share,
+            );
+        }
+        let factors = points.iter().zip(d).map(|(source, d)| {
+            let (p, d) = (source.p - origin, *d - shift);
+            SingleFactors {
+                p: to_f32(p),
+                d: to_f32(d),
+                p_d: to_f32(Vec2::new(p.dot(d), p.cross(d))),
+            }
+        });
+        Self {
+            points,
+            d,
+            falloff,
+            form,
+            origin,
+            shift,
+            factors: factors.collect(),
+            moments: OnceLock::new(),
+        }
+    }
+
+    /// `f(v) - v`, px, and |m| (rigid), else 1, of every place. `None` when cancelled.
+    pub(super) fn displaced_at(
+        &self,
+        level: SimdLevel,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<[f32; 3]>> {
+        let parts: Option<Vec<_>> = places
+            .par_chunks(POSITIONS_PER_TASK)
+            .map(|places| {
+                (!cancelled()).then(|| run_at(level, SingleDisplacements { sums: self, places }))
+            })
+            .collect();
+        let (mut out, mut imprecise) = (Vec::with_capacity(places.len()), Vec::new());
+        for (moved, again) in parts? {
+            imprecise.extend(again.into_iter().map(|index| out.len() + index));
+            out.extend(moved);
+        }
+        if imprecise.is_empty() {
+            return Some(out);
+        }
+        let moments = || MomentInputs::new(self.points, self.d, self.falloff, self.form);
+        let there: Vec<Point> = imprecise.iter().map(|index| places[*index]).collect();
+        let moments = self.moments.get_or_init(moments);
+        let moved = moments.displaced_at(level, &there, cancelled)?;
+        for (index, moved) in imprecise.into_iter().zip(moved) {
+            out[index] = moved;
+        }
+        Some(out)
+    }
+
+    /// Displacements and |m| of positions from the origin, and whether they are precise.
+    #[cfg_attr(not(optimized_for_size), inline(always))]
+    #[cfg_attr(optimized_for_size, inline(never))]
+    fn fitted(
+        &self,
+        sums: &SingleMoments,
+        x: &SingleLanes,
+        y: &SingleLanes,
+    ) -> ([SingleLanes; 3], [bool; LANES]) {
+        let (mut out, mut precise) = ([[0.0; LANES]; 3], [false; LANES]);
+        #[expect(clippy::cast_precision_loss, reason = "few points")]
+        let count = self.points.len() as f32;
+        let [shift_x, shift_y] = to_f32(self.shift);
+        let is_rigid = self.form == CoefficientForm::Rigid;
+        for k in 0..LANES {
+            let per_weight = 1.0 / sums.w[k];
+            let (px, py) = (sums.p[0][k] * per_weight, sums.p[1][k] * per_weight);
+            let (dx, dy) = (sums.d[0][k] * per_weight, sums.d[1][k] * per_weight);
+            let (ex, ey) = (x[k] - px, y[k] - py);
+            let (about_v, reach) = (count * per_weight, ex * ex + ey * ey);
+            let spread = about_v - reach;
+            let per_spread = 1.0 / spread;
+            let ux = (sums.p_d[0][k] * per_weight - (px * dx + py * dy)) * per_spread;
+            let uy = (sums.p_d[1][k] * per_weight - (px * dy - py * dx)) * per_spread;
+            // rho(u) as in `kernel/scalar.rs`. Where no rotation fits, v is not precise.
+            let mx = 1.0 + ux;
+            let n = (mx * mx + uy * uy).sqrt();
+            let is_ahead = mx > 0.0;
+            let more = if is_ahead { n + mx } else { 1.0 };
+            let over = if is_ahead { -(uy * uy) } else { mx - n };
+            let scale = 1.0 / (n * more);
+            let (rx, ry) = if is_rigid {
+                (over * scale, uy * (more * scale))
+            } else {
+                (ux, uy)
+            };
+            out[0][k] = shift_x + (dx + (ex * rx - ey * ry));
+            out[1][k] = shift_y + (dy + (ex * ry + ey * rx));
+            out[2][k] = if is_rigid { n } else { 1.0 };
+            let from_origin = x[k] * x[k] + y[k] * y[k];
+            precise[k] = from_origin * sums.w[k] <= MOST_NEARER * MOST_NEARER
+                && about_v * reach <= MOST_CANCELLED * MOST_CANCELLED * spread * spread
+                && spread > 0.0
+                && n > LEAST_ROTATION;
+        }
+        (out, precise)
+    }
+}
+
+/// The sums at a block of positions from the origin.
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
+fn sums(factors: &[SingleFactors], x: &SingleLanes, y: &SingleLanes) -> SingleMoments {
+    let mut w_sum = [0.0; LANES];
+    let [mut px, mut py, mut dx, mut dy, mut dot, mut cross] = [[0.0; LANES]; 6];
+    for SingleFactors { p, d, p_d } in factors {
+        for k in 0..LANES {
+            let (rx, ry) = (p[0] - x[k], p[1] - y[k]);
+            let square = rx * rx + ry * ry;
+            let w = 1.0
+                / if square > LEAST_SQUARE {
+                    square
+                } else {
+                    LEAST_SQUARE
+                };
+            w_sum[k] += w;
+            px[k] += w * p[0];
+            py[k] += w * p[1];
+            dx[k] += w * d[0];
+            dy[k] += w * d[1];
+            dot[k] += w * p_d[0];
+            cross[k] += w * p_d[1];
+        }
+    }
+    SingleMoments {
+        w: w_sum,
+        p: [px, py],
+        d: [dx, dy],
+        p_d: [dot, cross],
+    }
+}
+
+/// The displacements of some positions, and the indices of those that are not precise.
+struct SingleDisplacements<'s, 'a> {
+    sums: &'s SingleSums<'a>,
+    places: &'s [Point],
+}
+
+impl LaneWork for SingleDisplacements<'_, '_> {
+    type Output = (Vec<[f32; 3]>, Vec<usize>);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let (mut out, mut imprecise) = (Vec::with_capacity(self.places.len()), Vec::new());
+        for places in self.places.chunks(LANES) {
+            let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+            for k in 0..LANES {
+                // SingleLanes beyond the last place repeat it.
+                [x[k], y[k]] = to_f32(places[k.min(places.len() - 1)] - self.sums.origin);
+            }
+            let moments = sums(&self.sums.factors, &x, &y);
+            let ([dx, dy, m], precise) = self.sums.fitted(&moments, &x, &y);
+            for k in 0..places.len() {
+                if !precise[k] {
+                    imprecise.push(out.len());
+                }
+                out.push([dx[k], dy[k], m[k]]);
+            }
+        }
+        (out, imprecise)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use proptest::prelude::*;
+
+    use super::super::moments::set;
+    use super::*;
+    use crate::deform::{Handle, Method, Pose, RestDeformation};
+
+    const METHODS: [Method; 2] = [Method::Similarity, Method::Rigid];
+
+    fn by_single_sums(
+        field: &RestDeformation,
+        d: &[Vec2],
+        places: &[Point],
+        level: SimdLevel,
+    ) -> Vec<[f32; 3]> {
+        let (points, falloff) = (&field.set.sources.points, Falloff::new(1.0, false).unwrap());
+        let sums = SingleSums::new(points, d, falloff, field.form());
+        sums.displaced_at(level, places, &|| false).unwrap()
+    }
+
+    /// The largest distance from where exact evaluation takes some places, px.
+    fn off(field: &RestDeformation, pose: &Pose, places: &[Point], level: SimdLevel) -> f64 {
+        let moved = by_single_sums(field, pose.displacements(), places, level);
+        let each = moved.into_iter().zip(places).map(|([x, y, _], place)| {
+            (*place + Vec2::new(x.into(), y.into())).distance(field.map(pose, *place))
+        });
+        each.fold(0.0, f64::max)
+    }
+
+    proptest! {
+        /// Anywhere, also a hair beside points and far away.
+        #[test]
+        fn single_sums_give_what_rows_give(
+            method in prop::sample::select(&METHODS[..]),
+            (count, half) in (3..=128_u32, 0..500_u32),
+            (x, y) in (-200.0..700.0_f64, -200.0..600.0_f64),
+            (angle, far) in (0.0..TAU, 0.0..5.0_f64),
+        ) {
+            let (field, pose) = set(method, 1.0, count, 2 * half);
+            let Handle::Point(p) = field.handles().handles()[0] else { unreachable!() };
+            let at = |r: f64| p + Vec2::new(angle.cos(), angle.sin()) * r;
+            let mut places: Vec<Point> = (-9..3).map(|k| at(10f64.powi(k))).collect();
+            places.extend([p, Point::new(x.round(), y), Point::new(x, y)]);
+            for level in SimdLevel::available() {
+                // Displacements differ by up to 42 px. Sets of few points have a table instead.
+                let allowed = if count > 32 { 3e-4 } else { 1e-3 };
+                let off_near = off(&field, &pose, &places, *level);
+                prop_assert!(off_near <= allowed, "{off_near} px");
+                // Far away, a position turns about the points.
+                let distance = 10f64.powf(far);
+                let off_far = off(&field, &pose, &[at(distance)], *level);
+                prop_assert!(off_far <= allowed + 1e-6 * distance, "{distance}: {off_far} px");
+            }
+        }
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bits_and_points_are_met_exactly() {
+        for method in METHODS {
+            let (field, pose) = set(method, 1.0, 100, 4);
+            let d = pose.displacements();
+            let points: Vec<Point> = field.set.sources.points.iter().map(|s| s.p).collect();
+            let met = by_single_sums(&field, d, &points, SimdLevel::Scalar);
+            assert!(
+                met.iter()
+                    .zip(d)
+                    .all(|([x, y, _], d)| [*x, *y] == to_f32(*d))
+            );
+            let beside: Vec<Point> = points.iter().map(|p| *p + Vec2::new(3.1, -0.7)).collect();
+            let reference = by_single_sums(&field, d, &beside, SimdLevel::Scalar);
+            for level in SimdLevel::available() {
+                let moved = by_single_sums(&field, d, &beside, *level);
+                assert_eq!(moved, reference, "{level:?} {method:?}");
+            }
+        }
+    }
+
+    /// Translations to the last bit, rotations about any centre.
+    #[test]
+    fn motions_of_all_points_are_reproduced() {
+        let places: Vec<Point> = (0..400_u32)
+            .map(|k| Point::new(f64::from(k % 20) * 30.0, f64::from(k / 20) * 25.0))
+            .collect();
+        for method in METHODS {
+            let (field, _) = set(method, 1.0, 100, 4);
+            let points: Vec<Point> = field.set.sources.points.iter().map(|s| s.p).collect();
+            let d = vec![Vec2::new(31.7, -12.3); points.len()];
+            let moved = by_single_sums(&field, &d, &places, SimdLevel::detect());
+            assert!(moved.iter().all(|[x, y, _]| [*x, *y] == to_f32(d[0])));
+            let (centre, turn) = (
+                Point::new(900.0, -300.0),
+                Vec2::new(0.6f64.cos(), 0.6f64.sin()),
+            );
+            let turned = |p: Point| centre + turn.complex_mul(p - centre) - p;
+            let d: Vec<Vec2> = points.iter().map(|p| turned(*p)).collect();
+            let moved = by_single_sums(&field, &d, &places, SimdLevel::detect());
+            for ([x, y, _], place) in moved.into_iter().zip(&places) {
+                let off = (Vec2::new(x.into(), y.into()) - turned(*place)).norm();
+                assert!(off < 5e-4, "{place:?}: {off} px");
+            }
+        }
+    }
+
+    /// The bits depend neither on the other positions nor on the number of threads.
+    #[test]
+    fn a_position_has_its_own_bits() {
+        let (field, pose) = set(Method::Rigid, 1.0, 100, 4);
+        let places: Vec<Point> = (0..1200_u32)
+            .map(|k| Point::new(f64::from(k % 40) * 15.0, f64::from(k / 40) * 15.0))
+            .collect();
+        let d = pose.displacements();
+        let of = |places: &[Point]| by_single_sums(&field, d, places, SimdLevel::detect());
+        let together = of(&places);
+        for first in [1, 7, 500] {
+            assert_eq!(of(&places[first..]), together[first..]);
+        }
+        for threads in [1, 4] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            assert_eq!(pool.unwrap().install(|| of(&places)), together);
+        }
+    }
+}
