@@ -239,7 +239,7 @@ impl LaneWork for SingleDisplacements<'_, '_> {
         for places in self.places.chunks(LANES) {
             let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
             for k in 0..LANES {
-                // SingleLanes beyond the last place repeat it.
+                // Lanes beyond the last place repeat it.
                 [x[k], y[k]] = to_f32(places[k.min(places.len() - 1)] - self.sums.origin);
             }
             let moments = sums(&self.sums.factors, &x, &y);
