@@ -55,7 +55,7 @@ def changed(visit, *paths):
              { type: "file", id: "chosen", multiple: true }))"""
     )
     visit.page.set_input_files("#chosen", paths)
-    # A browser notes the size and time of a chosen file when it likes, but before it reads it.
+    # A browser records size and time of a chosen file some time later, but before it reads it.
     visit.page.evaluate(
         """() => Promise.all(
              Array.from(document.querySelector("#chosen").files, (file) => file.arrayBuffer()))"""

@@ -4,7 +4,7 @@
 
 use std::time::{Duration, Instant};
 
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpSocket;
 
 use crate::support::healthy::{Healthy, ms};
@@ -254,36 +254,4 @@ async fn who_floods_and_reads_nothing_is_cut() {
             "{name}: all of {MAX_REQUESTS} batches were read"
         );
     }
-}
-
-/// Bodies that are sent where there is no route: they are read so that the answer is found, but an
-/// address cannot send them as fast as it likes.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bodies_that_nobody_reads_are_read_slowly() {
-    const MIB: usize = 1 << 20;
-    let program = Program::start(&[]);
-    let address = program.address;
-    let send = async || {
-        let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
-        let host = "POST /nothing HTTP/1.1\r\nHost: localhost\r\n";
-        let head = format!(
-            "{host}Connection: close\r\nContent-Length: {}\r\n\r\n",
-            30 * MIB
-        );
-        stream.write_all(head.as_bytes()).await.unwrap();
-        for _ in 0..30 {
-            stream.write_all(&vec![b'0'; MIB]).await.unwrap();
-        }
-        let mut answer = [0; 12];
-        stream.read_exact(&mut answer).await.unwrap();
-        assert_eq!(&answer, b"HTTP/1.1 404");
-    };
-    let began = Instant::now();
-    tokio::join!(send(), send(), send(), send(), send());
-    // 150 MiB, of which 64 at once, and up to 10 for each connection in the kernel's buffers.
-    assert!(
-        began.elapsed() > Duration::from_secs(1),
-        "{:?}",
-        began.elapsed()
-    );
 }

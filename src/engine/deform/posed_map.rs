@@ -256,6 +256,7 @@ impl<'a> PosedMap<'a> {
         let (displacement, least_rotation) = if pose.is_identity() {
             (vec![[0.0; 2]; grid.len()], 1.0)
         } else {
+            // Row by row: without a division for each vertex.
             let across: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
             let mut places = Vec::with_capacity(grid.len());
             for y in (0..grid.rows()).map(|j| grid.y(j)) {
@@ -301,7 +302,8 @@ impl<'a> PosedMap<'a> {
                 .collect();
             blocks?.concat()
         };
-        // Of positive numbers, the bits have the same order; their minimum is found by vectors.
+        // The bits of numbers that are not negative have their order, and a least integer is found
+        // by vectors, which for numbers NaN prevents.
         let least = single.iter().map(|[_, _, m]| m.to_bits()).min();
         let least = least.map_or(1.0, f32::from_bits).min(1.0);
         Some((single.into_iter().map(|[x, y, _]| [x, y]).collect(), least))

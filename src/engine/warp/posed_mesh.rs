@@ -429,10 +429,10 @@ fn residual(
 }
 
 fn digest(setup: &ResolvedRest, pose: &Pose) -> Digest {
-    let mut digest = Collector::new("mlswarp pose 1")
+    let mut digest = Collector::new("mlswarp pose 2")
         .bytes(env!("CARGO_PKG_VERSION").as_bytes())
         .bytes(&setup.plan_key().0)
-        // Rows without a table are summed in f64.
+        // Rows without a table are summed in another precision.
         .integer(setup.plan_bytes().is_some().into());
     for d in pose.displacements() {
         digest = digest.float(d.x).float(d.y);

@@ -59,6 +59,8 @@ pub struct ResolvedRest {
     tolerance: Option<f64>,
     plan_key: Digest,
     table_bytes: Option<u64>,
+    /// Whether a pose takes about as long as one with a table that may be kept.
+    is_quick: bool,
     /// For exact rows that are kept with the table.
     exact_bytes: u64,
     /// Most operations of a task.
@@ -165,6 +167,7 @@ impl ResolvedRest {
         Ok(Self {
             tolerance: None,
             table_bytes: bytes,
+            is_quick: bytes.is_some(),
             exact_bytes: 0,
             cut: Some(Arc::new(cut)),
             ..self
@@ -183,9 +186,10 @@ impl ResolvedRest {
         let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some(), mask.as_ref());
         let bytes = deform::CoefficientTable::bytes_for(&field, grid.len());
-        let table_bytes = (bytes <= limits.plan_bytes
-            && deform::CoefficientTable::is_worthwhile(&field))
-        .then_some(bytes);
+        // Where a table is not worth its time, sums take about as long as reading it would.
+        let is_quick = bytes <= limits.plan_bytes;
+        let table_bytes =
+            (is_quick && deform::CoefficientTable::is_worthwhile(&field)).then_some(bytes);
         let left = |bytes: u64| {
             (EXACT_PER_BYTE * bytes)
                 .min(bytes.max(EXACT_ALWAYS))
@@ -206,6 +210,7 @@ impl ResolvedRest {
             tolerance,
             plan_key,
             table_bytes,
+            is_quick,
             exact_bytes,
             max_work: limits.work,
         }
@@ -284,6 +289,12 @@ impl ResolvedRest {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
     }
 
+    /// Whether a pose takes about as long as one with a table that may be kept.
+    #[must_use]
+    pub const fn is_quickly_posed(&self) -> bool {
+        self.is_quick
+    }
+
     /// Checks the treatment of folds, before anything is posed.
     ///
     /// # Errors
@@ -354,7 +365,7 @@ impl ResolvedRest {
         vertices * VERTEX_BYTES + cut + tiles
     }
 
-    /// Whether poses are sums over tiles.
+    /// Whether poses are sums, without a table; most of them over tiles.
     fn is_tiled(&self) -> bool {
         self.cut.is_none() && !deform::CoefficientTable::is_worthwhile(&self.field)
     }

@@ -217,7 +217,7 @@ async fn admit_drawing(
 }
 
 /// Admits a step of a drag: as a drag if everything that it uses is cached, the order of drawing
-/// is known, the plan has a table and no folds are removed, otherwise as an upload.
+/// is known, poses are quick and no folds are removed, otherwise as an upload.
 pub(crate) async fn admit_step(
     app: &App,
     client: Client,
@@ -228,7 +228,7 @@ pub(crate) async fn admit_step(
     // An order of drawing may weigh all handles at all vertices again.
     let is_cached = has_image
         && app.plans.touch(record.id.owner(), setup)
-        && setup.plan_bytes().is_some()
+        && setup.is_quickly_posed()
         && setup.lacks_order().is_none()
         && record.folds != Folds::Remove;
     let class = if is_cached {

@@ -14,11 +14,9 @@ use axum::http::HeaderMap;
 use bytes::Bytes;
 use http_body::Frame;
 use http_body_util::BodyExt as _;
-use tokio::time::{Sleep, sleep};
+use tokio::time::{Sleep, sleep, timeout_at};
 
 pub(crate) use super::capped_body::too_large;
-use super::connection::turns::AddressTurns;
-use super::discard::discard;
 use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
 use crate::app::App;
@@ -40,9 +38,14 @@ pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &
     problem.unwrap_or_else(|| Problem::new(Code::MalformedRequest, format!("{context}: {error}")))
 }
 
-/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded
-/// ([`discard`]), so that a client which sends its whole body before it reads finds the response
-/// instead of a reset connection.
+/// The time for which the rest of a body is read and discarded that is too large, or may have no
+/// end.
+const LINGER_TIME: Duration = Duration::from_secs(2);
+
+/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded, so
+/// that a client which sends its whole body before it reads finds the response instead of a reset
+/// connection: until the deadline if the rest has a length within the limit, and otherwise for
+/// [`LINGER_TIME`] at most, as the rest could be endless.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,
@@ -53,19 +56,17 @@ pub(crate) struct LimitedBody {
     expects_continue: bool,
     /// Whether the request is waiting for bytes of its body, that is, for its client.
     waits: Arc<AtomicBool>,
-    turns: Option<AddressTurns>,
 }
 
 impl LimitedBody {
     /// `expects_continue`: the client sends the body only after `100 Continue`, which the first
-    /// read makes hyper send. `turns`: see [`discard`].
+    /// read makes hyper send.
     pub(crate) fn wrap(
         body: Body,
         limit: u64,
         timeout: Duration,
         expects_continue: bool,
         waits: Arc<AtomicBool>,
-        turns: Option<AddressTurns>,
     ) -> Body {
         if body.is_end_stream() {
             return body;
@@ -79,7 +80,6 @@ impl LimitedBody {
             deadline,
             expects_continue,
             waits,
-            turns,
         })
     }
 }
@@ -142,14 +142,25 @@ impl Drop for LimitedBody {
     fn drop(&mut self) {
         self.waits.store(false, Ordering::Relaxed);
         let is_withheld = self.expects_continue && self.left == self.limit;
-        if let Some(body) = self
+        if let Some(mut body) = self
             .body
             .take()
             .filter(|body| !is_withheld && !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
-            let (deadline, turns) = (self.deadline.deadline(), self.turns.take());
-            runtime.spawn(discard(body, self.left, deadline, turns));
+            let ends = body
+                .size_hint()
+                .upper()
+                .is_some_and(|rest| rest <= self.left);
+            let until = tokio::time::Instant::now() + LINGER_TIME;
+            let until = if ends {
+                self.deadline.deadline()
+            } else {
+                until.min(self.deadline.deadline())
+            };
+            runtime.spawn(timeout_at(until, async move {
+                while let Some(Ok(_)) = body.frame().await {}
+            }));
         }
     }
 }

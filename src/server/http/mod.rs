@@ -9,7 +9,6 @@ pub(crate) mod assets;
 mod body;
 mod capped_body;
 pub mod connection;
-mod discard;
 mod headers;
 pub(crate) mod middleware;
 pub(crate) mod response;

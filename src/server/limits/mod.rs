@@ -19,7 +19,6 @@
 //! | operations of a task, by an estimate | `--max-work` | 413 `too_large` | the engine, `warp::work` |
 //! | frames of a batch | 10,000 | 413 `too_large` | `wire::batch` |
 //! | frames of a batch that are drawn ahead of the client | workers + 2, at most 8 | the batch waits | `app::batch` |
-//! | bodies of an address that nobody reads | 16 MiB a second | they wait | [`discarded`] |
 //! | messages per second on a drag socket | 1000, 2000 at once | WebSocket close code 1008 | [`bucket`] |
 
 pub mod bucket;
@@ -27,7 +26,6 @@ pub mod client_limit;
 pub mod client_quota;
 pub mod connections;
 mod counts;
-pub(crate) mod discarded;
 pub mod free;
 pub mod freed;
 pub mod memory;

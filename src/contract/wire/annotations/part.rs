@@ -42,7 +42,7 @@ pub struct Cursor {
     has_fields: bool,
     is_bare: bool,
     tail: Tail,
-    /// By the annotations before.
+    /// What the annotations before have taken.
     pub taken: Taken,
 }
 

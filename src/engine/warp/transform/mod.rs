@@ -30,7 +30,7 @@ pub struct Transform<'a> {
     /// Those of the source and of the picture.
     rest: CoordinateFrame,
     posed: CoordinateFrame,
-    /// Those at which edges were examined, of all parts of the task.
+    /// Positions at which edges were examined, in this part of the task and those before.
     samples: AtomicUsize,
     /// Operations of f at a position, and the most of all.
     per_position: u64,
@@ -39,10 +39,13 @@ pub struct Transform<'a> {
     before: u64,
 }
 
-/// What a task has taken so far of what it may take, so that its parts count together.
+/// What the parts of a task have taken of its limits so far: handed from part to part, so that a
+/// long answer does not have each limit once for each part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Taken {
+    /// Operations of the search of an inverse.
     operations: u64,
+    /// Positions at which edges were examined.
     samples: usize,
 }
 

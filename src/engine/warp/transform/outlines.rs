@@ -16,10 +16,14 @@ const EDGE_SPACING_PX: f64 = 8.0;
 const MOST_PARTS: usize = 1024;
 /// A part of an edge is halved at most this often.
 const MAX_EDGE_HALVINGS: usize = 6;
-/// Positions at which the edges of a task are examined, beyond one for each edge. The parts of an
-/// answer are one task ([`Transform::after`]); each frame of a batch, which waits for a worker and
-/// for its reader as a drawing does, is one of its own.
+/// The most positions at which the edges of a request may be examined at first, beyond one for each
+/// edge; known before anything is mapped.
 pub const MAX_EDGE_SAMPLES: usize = 1 << 21;
+/// The same of a task with those that halving bent edges adds, which is known only when they are
+/// mapped: a long answer would break off. All parts of an answer are one task
+/// ([`Transform::after`]). Each frame of a batch is one of its own, since it waits for a worker and
+/// for its reader as a drawing does.
+const MOST_SAMPLES: usize = 4 * MAX_EDGE_SAMPLES;
 
 /// The vertices that are inserted into an edge: the share of the edge at each, and its mapped
 /// position.
@@ -231,11 +235,11 @@ impl Transform<'_> {
             return Err(WarpError::Cancelled);
         }
         let samples = self.samples.fetch_add(count, Ordering::Relaxed) + count;
-        if samples > MAX_EDGE_SAMPLES {
+        if samples > MOST_SAMPLES {
             return Err(WarpError::TooLarge {
                 what: Quantity::OutlineSamples,
-                limit: MAX_EDGE_SAMPLES as u64,
-                actual: MAX_EDGE_SAMPLES as u64 + 1,
+                limit: MOST_SAMPLES as u64,
+                actual: MOST_SAMPLES as u64 + 1,
             });
         }
         self.check_work(Task::Outlines, samples)?;

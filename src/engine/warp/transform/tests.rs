@@ -280,7 +280,7 @@ fn work_is_bounded_and_positions_are_checked() {
     let (setup, q) = set(1.0);
     let pose = setup.pose(&q).unwrap();
     let f = setup.transform(&pose);
-    let far: Vec<Point> = (0..3000)
+    let far: Vec<Point> = (0..12_000)
         .map(|k| Point::new(if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k)))
         .collect();
     let error = f

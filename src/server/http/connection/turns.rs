@@ -17,7 +17,6 @@ use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
 
 use crate::client::Tenant;
-use crate::limits::discarded::Discarded;
 
 /// Time of an address in a round. The poll that exceeds it is finished.
 const TURN_TIME: Duration = Duration::from_micros(100);
@@ -83,7 +82,6 @@ pub(crate) struct AddressTurns(Arc<AddressQueue>);
 struct AddressQueue {
     rounds: Arc<Rounds>,
     state: Mutex<State>,
-    discarded: Discarded,
 }
 
 #[derive(Debug, Default)]
@@ -118,7 +116,7 @@ impl Turns {
         AddressTurns(known.upgrade().unwrap_or_else(|| {
             let new = Arc::new(AddressQueue {
                 rounds: Arc::clone(&self.0),
-                ..AddressQueue::default()
+                state: Mutex::default(),
             });
             *known = Arc::downgrade(&new);
             new
@@ -225,10 +223,6 @@ impl State {
 }
 
 impl AddressTurns {
-    pub(crate) fn discarded(&self) -> &Discarded {
-        &self.0.discarded
-    }
-
     /// The future, polled in the turns of the address.
     pub(crate) fn take<F: Future>(&self, future: F) -> impl Future<Output = F::Output> + use<F> {
         InTurn {

@@ -34,7 +34,6 @@ use super::response::problem::finish;
 use crate::app::App;
 use crate::auth::hosts::Hosts;
 use crate::auth::tokens::TokenName;
-use crate::client::Client;
 use crate::http::response::Refusal;
 use crate::observe::metrics::known_method;
 use crate::observe::{RequestInfo, Scope};
@@ -188,15 +187,6 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     let length = content_length(request.headers());
     let expects_continue = request.headers().contains_key(EXPECT);
     let waits = Arc::<AtomicBool>::default();
-    let (turns, client) = (
-        request.extensions().get::<RequestTurns>(),
-        request.extensions().get::<Client>(),
-    );
-    // Over HTTP/2, what waits of one client of a proxy would be in the way of others.
-    let turns = turns
-        .filter(|turns| !turns.is_of_proxy || request.version() < Version::HTTP_2)
-        .zip(client)
-        .map(|(turns, client)| turns.turns.of(client.address));
     let request = request.map(|body| {
         LimitedBody::wrap(
             body,
@@ -204,7 +194,6 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
             timeouts.body,
             expects_continue,
             Arc::clone(&waits),
-            turns,
         )
     });
     if let Some(length) = length.filter(|length| *length > max_bytes) {

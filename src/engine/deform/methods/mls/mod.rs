@@ -42,9 +42,8 @@ use crate::level::SimdLevel;
 
 /// Sets of more points are posed by moments where rows are used once.
 const MANY_POINTS: usize = 128;
-/// Sets of more points are posed by sums in single precision where these are precise; of fewer, a
-/// table takes less time.
-const SOME_POINTS: usize = 32;
+/// Sets of at most this many points are posed from a table, which takes less time than their sums.
+const FEW_POINTS: usize = 32;
 /// The largest alpha at which affine moments are accurate: above it, the weights at most positions
 /// differ by more than numbers hold.
 const MOST_AFFINE: f64 = 2.0;
@@ -185,14 +184,15 @@ pub(super) fn determined(form: CoefficientForm, rank: Rank) -> (CoefficientForm,
     }
 }
 
-/// What a pose is computed from.
+/// What a pose is computed from. The set alone decides, so that every machine draws the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Quickest {
-    /// Coefficients that are kept.
+enum PosedFrom {
+    /// Coefficients: a table of the grid, and rows inside cells that are kept.
     Coefficients,
-    /// Sums in single precision.
+    /// [`SingleSums`], without a table: some dozen points of equal mass at alpha 1, similarity or
+    /// rigid.
     SingleSums,
-    /// Moments, from tiles where alpha allows it.
+    /// [`MomentInputs`]: many points. Above alpha 2 the grid has its table still.
     Moments,
 }
 
@@ -205,14 +205,17 @@ struct MovingLeastSquares {
     beta: Option<Arc<IncompleteBeta>>,
 }
 
+fn are_of_equal_mass(points: &[PointSource]) -> bool {
+    points.windows(2).all(|pair| pair[0].mass == pair[1].mass)
+}
+
 impl MovingLeastSquares {
     /// Whether moments are accurate: of points alone.
     fn has_moments(&self, set: &RestSet) -> bool {
         // Affine moments of points on nearly one line are accurate only if none of them is much
         // lighter than the others.
-        let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
         let is_accurate =
-            || self.falloff.alpha() <= MOST_AFFINE && set.sources.points.windows(2).all(is_equal);
+            || self.falloff.alpha() <= MOST_AFFINE && are_of_equal_mass(&set.sources.points);
         (set.form != CoefficientForm::Real || is_accurate())
             && set.sources.segments.is_empty()
             && matches!(set.rank, Rank::Collinear | Rank::Full)
@@ -241,22 +244,22 @@ impl MovingLeastSquares {
         kernel::rows(&inputs, v, scratch, rows);
     }
 
-    /// What takes the least time for a pose.
-    fn quickest(&self, set: &RestSet) -> Quickest {
+    /// What is quickest on most machines, first pictures included.
+    fn posed_from(&self, set: &RestSet) -> PosedFrom {
         let points = &set.sources.points;
-        if points.len() <= SOME_POINTS || !self.has_moments(set) {
-            return Quickest::Coefficients;
+        if points.len() <= FEW_POINTS || !self.has_moments(set) {
+            return PosedFrom::Coefficients;
         }
         if points.len() > MANY_POINTS {
-            return Quickest::Moments;
+            return PosedFrom::Moments;
         }
         let is_single = self.falloff.power() == Power::One
             && set.form != CoefficientForm::Real
-            && points.iter().all(|source| source.mass == points[0].mass);
+            && are_of_equal_mass(points);
         if is_single {
-            Quickest::SingleSums
+            PosedFrom::SingleSums
         } else {
-            Quickest::Coefficients
+            PosedFrom::Coefficients
         }
     }
 }
@@ -305,16 +308,16 @@ impl PointMap for MovingLeastSquares {
     }
 
     fn has_table(&self, set: &RestSet) -> bool {
-        match self.quickest(set) {
-            Quickest::Coefficients => true,
-            Quickest::SingleSums => false,
-            Quickest::Moments => !MomentInputs::are_tiled(self.falloff),
+        match self.posed_from(set) {
+            PosedFrom::Coefficients => true,
+            PosedFrom::SingleSums => false,
+            PosedFrom::Moments => !MomentInputs::are_tiled(self.falloff),
         }
     }
 
     fn keeps_coefficients(&self, set: &RestSet) -> bool {
         // Of many points they exceed any memory, and sums take little longer than reading them.
-        self.quickest(set) == Quickest::Coefficients
+        self.posed_from(set) == PosedFrom::Coefficients
     }
 
     fn posed<'a>(
@@ -325,11 +328,11 @@ impl PointMap for MovingLeastSquares {
     ) -> Option<Box<dyn PosedWithoutCoefficients + 'a>> {
         let (points, falloff) = (&set.sources.points, self.falloff);
         let d = displacements;
-        match self.quickest(set) {
+        match self.posed_from(set) {
             _ if exact => None,
-            Quickest::Coefficients => None,
-            Quickest::SingleSums => Some(Box::new(SingleSums::new(points, d, falloff, set.form))),
-            Quickest::Moments => Some(Box::new(MomentInputs::new(points, d, falloff, set.form))),
+            PosedFrom::Coefficients => None,
+            PosedFrom::SingleSums => Some(Box::new(SingleSums::new(points, d, falloff, set.form))),
+            PosedFrom::Moments => Some(Box::new(MomentInputs::new(points, d, falloff, set.form))),
         }
     }
 
