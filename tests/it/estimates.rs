@@ -132,7 +132,7 @@ async fn the_parts_of_outlines_are_one_task() {
     let server = Server::start(&["--max-work", "1M"]).await;
     let p = places(7);
     let outlines = json!({"p": p, "q": p, "extent": [640, 400], "polygons": []});
-    // An edge of 400 px is examined at 50 positions. A vertex has 400 characters, so that a part has
+    // An edge of 400 px is examined at 50 positions. A vertex has 400 characters, and a part has
     // about 650 of them.
     let zeros = "0".repeat(400);
     let position = |k| format!("[{}.{zeros},0]", 100 + k % 2 * 400);
