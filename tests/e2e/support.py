@@ -44,6 +44,17 @@ FLAGS = [
 
 # The browser's message for a drag socket that does not open.
 SOCKET = re.compile("WebSocket connection to .* failed")
+# What the browser reports when connections break: to a server that was killed, at any moment of a
+# response, or over a poor link.
+BROKEN = (
+    SOCKET,
+    "ERR_CONNECTION_REFUSED",
+    "ERR_CONNECTION_RESET",
+    "ERR_CONNECTION_CLOSED",
+    "ERR_EMPTY_RESPONSE",
+    "ERR_INCOMPLETE_CHUNKED_ENCODING",
+    "ERR_SOCKET_NOT_CONNECTED",
+)
 
 
 def crossed(these, those):

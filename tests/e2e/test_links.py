@@ -7,20 +7,11 @@ import os
 import pytest
 
 from links import Link, recorded
-from support import BLUE, GREEN, RED, SOCKET, Server, near
+from support import BLUE, BROKEN, GREEN, RED, Server, near
 
 # By the coefficients, and by meshes of the socket.
 WAYS = pytest.mark.parametrize("query", ["", "?plan=off"], ids=["plan", "socket"])
 LONG = os.environ.get("MLSWARP_TESTS_FULL") == "1"
-# What the browser reports when connections break.
-BROKEN = (
-    SOCKET,
-    "ERR_CONNECTION_REFUSED",
-    "ERR_CONNECTION_RESET",
-    "ERR_CONNECTION_CLOSED",
-    "ERR_EMPTY_RESPONSE",
-    "ERR_SOCKET_NOT_CONNECTED",
-)
 
 
 @pytest.fixture

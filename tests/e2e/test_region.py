@@ -7,7 +7,7 @@ import shutil
 import pytest
 from PIL import Image, ImageChops, ImageDraw
 
-from support import BLUE, GREEN, RED, SOCKET, Fingers, Server, near
+from support import BLUE, BROKEN, GREEN, RED, Fingers, Server, near
 from test_output import run
 
 # Around the red disc, and where it is dragged: within the region's reach, apart from the other
@@ -196,7 +196,7 @@ def test_it_survives_a_reload_and_an_expired_session(visits, picture):
     server = Server()
     try:
         visit = bend(visits(server), picture)
-        visit.expects("404", "410", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", SOCKET)
+        visit.expects("404", "410", *BROKEN)
         by_mouse(visit)
         visit.page.locator("#feather").fill("12")
         box, png = changed(visit, picture)

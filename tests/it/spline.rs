@@ -585,7 +585,7 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
 }
 
 #[test]
-fn spline_of_many_points_is_posed_without_a_table() {
+fn many_points_are_posed_without_a_table_and_quickly() {
     let extent = Extent::new(400, 300).unwrap();
     let setup = |count: u32, method, smoothing| {
         let rest = RestSpec {
@@ -597,15 +597,22 @@ fn spline_of_many_points_is_posed_without_a_table() {
         };
         ResolvedRest::new(&rest, extent, &limits(), &|| false)
     };
-    for (count, has_table) in [(64, true), (65, false)] {
+    for (count, method, has_table) in [
+        (64, Method::ThinPlateSpline, true),
+        (65, Method::ThinPlateSpline, false),
+        (32, Method::Rigid, true),
+        (33, Method::Rigid, false),
+        (128, Method::Similarity, false),
+        (100, Method::Affine, true),
+    ] {
+        let setup = setup(count, method, None).unwrap();
         assert_eq!(
-            setup(count, Method::ThinPlateSpline, None)
-                .unwrap()
-                .plan_bytes()
-                .is_some(),
+            setup.plan_bytes().is_some(),
             has_table,
-            "{count}"
+            "{count} {method:?}"
         );
+        // A drag of it is one, with a table or without.
+        assert!(setup.is_quickly_posed(), "{count} {method:?}");
     }
     assert!(
         setup(65, Method::Affine, None)

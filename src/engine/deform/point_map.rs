@@ -114,7 +114,9 @@ pub(super) type Displacements<const N: usize> = ([[f64; N]; 2], f32);
 /// for every N.
 pub(super) trait DisplacementsOf<const N: usize> {
     /// `None`: coefficients are more precise.
-    fn displacements(&self, v: &Vertices<N>) -> Option<Displacements<N>>;
+    fn displacements(&self, _v: &Vertices<N>) -> Option<Displacements<N>> {
+        None
+    }
 }
 
 /// f of one pose, for positions that are used once.

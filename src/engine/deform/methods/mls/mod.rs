@@ -32,7 +32,7 @@ use crate::deform::form::CoefficientForm;
 use crate::deform::kernel;
 use crate::deform::lanes::Vertices;
 use crate::deform::point_map::{
-    BuiltMap, CoefficientsOf, Displacements, DisplacementsOf, Identity, MapInput, PointMap,
+    BuiltMap, CoefficientsOf, DisplacementsOf, Identity, MapInput, PointMap,
     PosedWithoutCoefficients, RestSet,
 };
 use crate::deform::workspace::Workspace;
@@ -352,17 +352,9 @@ impl PointMap for MovingLeastSquares {
     }
 }
 
-impl<const N: usize> DisplacementsOf<N> for MomentInputs<'_> {
-    fn displacements(&self, _: &Vertices<N>) -> Option<Displacements<N>> {
-        None
-    }
-}
+impl<const N: usize> DisplacementsOf<N> for MomentInputs<'_> {}
 
-impl<const N: usize> DisplacementsOf<N> for SingleSums<'_> {
-    fn displacements(&self, _: &Vertices<N>) -> Option<Displacements<N>> {
-        None
-    }
-}
+impl<const N: usize> DisplacementsOf<N> for SingleSums<'_> {}
 
 impl PosedWithoutCoefficients for SingleSums<'_> {
     fn displaced(

@@ -2,11 +2,11 @@
 //! rigid, in single precision: their weights are computed again for each position, which takes less
 //! time than reading as many coefficients from memory.
 //!
-//! With `w = 1 / |p - v|^2`, the sums are those of w, w p, w d and w conj(p) d about the middle of
-//! the points, and near points no sum of w |p|^2: the second moment about p* is `n / sum w -
-//! |v - p*|^2` there, since every `w |p - v|^2` is 1, and keeps its digits beside a point. Where
-//! single precision is not enough still, f is computed in f64 ([`MomentInputs`]): very near a point
-//! and very far from all of them; mathematics 7.3.
+//! With `w = 1 / |p - v|^2`, the sums are those of w, w p, w d, w conj(p) d and w |p|^2 about the
+//! middle of the points, px. Near points the second moment about p* is `n / sum w - |v - p*|^2`
+//! instead of the last sum's, since every `w |p - v|^2` is 1: this keeps its digits beside a point.
+//! Very near a point and very far from all of them, single precision is not enough, and f is
+//! computed in f64 ([`MomentInputs`]); mathematics 7.3.
 
 use std::sync::OnceLock;
 
@@ -96,11 +96,13 @@ impl<'a> SingleSums<'a> {
         }
         let factors = points.iter().zip(d).map(|(source, d)| {
             let (p, d) = (source.p - origin, *d - shift);
+            #[expect(clippy::cast_possible_truncation, reason = "single precision")]
+            let square = p.norm2() as f32;
             SingleFactors {
                 p: to_f32(p),
                 d: to_f32(d),
                 p_d: to_f32(Vec2::new(p.dot(d), p.cross(d))),
-                square: to_f32(Vec2::new(p.norm2(), 0.0))[0],
+                square,
             }
         });
         Self {
