@@ -405,7 +405,8 @@ print(best)
 
 
 def test_a_thousand_stimuli_need_no_more_memory_than_one():
-    """The size of a study of faces; 60 of them, with what 10 have needed."""
+    """The size of a study of faces; 60 of them, with what 10 have needed (76 MiB more if each stayed). The
+    allocator keeps memory for each thread, and the pose at which this stops growing differs."""
     code = """
 import re, mlswarp, numpy as np
 most = lambda: int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) >> 10
@@ -418,7 +419,7 @@ for k, pose in enumerate(plan.jitter(sigma=6, count=60, seed=7)):
         print(most())
 """
     ten, all_of_them = map(int, python(code))
-    assert all_of_them <= ten + 4 and all_of_them < 300
+    assert all_of_them <= ten + 32 and all_of_them < 300
 
 
 def test_calls_reuse_the_memory_of_those_before():
