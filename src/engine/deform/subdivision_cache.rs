@@ -15,6 +15,7 @@ use crate::parallel::prelude::*;
 use super::coefficient_table::{IsCancelled, store};
 use super::kernel::{self, BlockDisplacements, CoefficientLanes, lanes_per_block};
 use super::lanes::{LANES, gather};
+use super::measured::MAX_SUBDIVISION_DEPTH;
 use super::posed_map::PosedMap;
 use super::rest_deformation::RestDeformation;
 use super::workspace::Workspace;
@@ -68,18 +69,28 @@ const fn groups_per_unit(level: u8) -> usize {
     if fit == 0 { 1 } else { fit }
 }
 
-/// A vertex of a cell's lattice at rest. Cells that share it compute the same bits.
-pub(super) fn vertex(grid: &Grid, cell: u32, level: u8, (a, b): (u32, u32)) -> Point {
-    let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
-    let between = |from: f64, to: f64, k: u32| match k {
-        0 => from,
-        k if k == 1 << level => to,
-        k => from + (to - from) * (f64::from(k) / f64::from(1 << level)),
+/// The groups of some cells at rest. Cells that share a vertex compute the same bits.
+fn vertices(grid: &Grid, cells: &[u32], level: u8) -> Vec<Point> {
+    let (group, last) = (group(level).collect::<Vec<_>>(), 1_u32 << level);
+    let mut vertices = Vec::with_capacity(cells.len() * group.len());
+    let lines = |from: f64, to: f64| {
+        let mut lines = [from; (1 << MAX_SUBDIVISION_DEPTH) + 1];
+        for (k, line) in (1..last).zip(&mut lines[1..]) {
+            *line = from + (to - from) * (f64::from(k) / f64::from(last));
+        }
+        lines[last as usize] = to;
+        lines
     };
-    Point::new(
-        between(grid.x(i), grid.x(i + 1), a),
-        between(grid.y(j), grid.y(j + 1), b),
-    )
+    for cell in cells {
+        let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
+        let (x, y) = (
+            lines(grid.x(i), grid.x(i + 1)),
+            lines(grid.y(j), grid.y(j + 1)),
+        );
+        let at = |(a, b): &(u32, u32)| Point::new(x[*a as usize], y[*b as usize]);
+        vertices.extend(group.iter().map(at));
+    }
+    vertices
 }
 
 impl SubdivisionCache {
@@ -101,6 +112,11 @@ impl SubdivisionCache {
         cells: &[u32],
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec<[f32; 2]>> {
+        // Where rows take longer than they save, f itself is evaluated, and nothing is kept.
+        if let Some(f) = posing.f {
+            let places = vertices(posing.grid, cells, level);
+            return Some(f.displaced(&places, cancelled)?.0);
+        }
         let len = group_len(level);
         let mut out = vec![[0.0; 2]; cells.len() * len];
         // Only references are taken under the lock; other poses of the same handles wait for no
@@ -131,15 +147,6 @@ impl SubdivisionCache {
         let missing: Vec<usize> = (0..cells.len()).filter(|&k| found[k].is_none()).collect();
         if missing.is_empty() {
             return Some(out);
-        }
-        // Where rows take longer than they save, f itself is evaluated, and nothing is kept.
-        let grid = posing.grid;
-        if let Some(f) = posing.f {
-            let places: Vec<Point> = cells
-                .iter()
-                .flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at)))
-                .collect();
-            return Some(f.displaced(&places, cancelled)?.0);
         }
         let per_unit = groups_per_unit(level);
         let compute = |workspace: &mut Workspace<LANES>, indices: &[usize]| {
@@ -183,10 +190,7 @@ impl SubdivisionCache {
         workspace: &mut Workspace<LANES>,
     ) -> (Vec<BlockDisplacements>, Option<CachedBlocks>) {
         let Posing { field, grid, d, .. } = *posing;
-        let places: Vec<Point> = cells
-            .iter()
-            .flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at)))
-            .collect();
+        let places = vertices(grid, cells, level);
         let block_at = |places: &[Point]| gather(|lane| places[lane.min(places.len() - 1)]);
         let per_block = lanes_per_block(field.form(), field.terms());
         let blocks = places.len().div_ceil(LANES);

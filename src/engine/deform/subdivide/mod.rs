@@ -225,8 +225,8 @@ impl PoseMeasurement<'_> {
         self.cells.known.reserve(pending.len() / EXPECTED_PENDING);
         while !pending.is_empty() {
             // In the order of the grid, so that the result does not depend on which neighbour asked
-            // first.
-            pending.sort_unstable();
+            // first. A stable sort is faster here: most of them are in this order already.
+            pending.sort();
             pending.dedup();
             pending.retain(|&cell| !self.interpolate(cell));
             // Cells of one depth are computed together, as one block of vertices: that is what the

@@ -105,6 +105,26 @@ impl<'a> MomentInputs<'a> {
         falloff: Falloff,
         form: CoefficientForm,
     ) -> Self {
+        Self::with_tiles(points, d, falloff, form, Self::are_tiled(falloff))
+    }
+
+    /// Sums over all points at every position: for a few positions, tiles are not worth their time.
+    pub(super) fn without_tiles(
+        points: &'a [PointSource],
+        d: &'a [Vec2],
+        falloff: Falloff,
+        form: CoefficientForm,
+    ) -> Self {
+        Self::with_tiles(points, d, falloff, form, false)
+    }
+
+    fn with_tiles(
+        points: &'a [PointSource],
+        d: &'a [Vec2],
+        falloff: Falloff,
+        form: CoefficientForm,
+        are_tiled: bool,
+    ) -> Self {
         let sum = points
             .iter()
             .fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
@@ -115,8 +135,8 @@ impl<'a> MomentInputs<'a> {
         let rules = TileRules {
             nodes: NODES,
             far: FAR_AT_ALPHA_1 + FAR_PER_ALPHA * (alpha - 1.0).max(0.0),
-            // Above `MOST_TILED` nothing counts as far, and one tile has all points nearby.
-            smallest: if Self::are_tiled(falloff) {
+            // Otherwise nothing counts as far, and one tile has all points nearby.
+            smallest: if are_tiled {
                 SMALLEST_TILE
             } else {
                 f64::INFINITY

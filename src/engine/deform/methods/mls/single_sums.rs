@@ -139,7 +139,7 @@ impl<'a> SingleSums<'a> {
         if again.is_empty() {
             return Some(out);
         }
-        let new = || MomentInputs::new(self.points, self.d, self.falloff, self.form);
+        let new = || MomentInputs::without_tiles(self.points, self.d, self.falloff, self.form);
         let there: Vec<Point> = again.iter().map(|index| places[*index]).collect();
         let moved = (self.in_double.get_or_init(new)).displaced_at(level, &there, cancelled)?;
         for (index, moved) in again.into_iter().zip(moved) {
