@@ -405,8 +405,8 @@ print(best)
 
 
 def test_a_thousand_stimuli_need_no_more_memory_than_one():
-    """The size of a study of faces; 60 of them, with what 10 have needed (76 MiB more if each stayed). The
-    allocator keeps memory for each thread, and the pose at which this stops growing differs."""
+    """The size of a study of faces; 60 of them, with what 10 have needed (76 MiB more if each
+    stayed). The allocator keeps memory for each thread: when it stops growing differs."""
     code = """
 import re, mlswarp, numpy as np
 most = lambda: int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) >> 10
