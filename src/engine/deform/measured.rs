@@ -3,10 +3,7 @@
 use std::borrow::Cow;
 use std::ops::Deref;
 
-use super::subdivision_cache::group;
-
-/// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
-pub(super) const MAX_SUBDIVISION_DEPTH: usize = 4;
+use super::subdivision_cache::{MAX_SUBDIVISION_DEPTH, group};
 
 /// What is known of some cells.
 #[derive(Debug)]

@@ -15,12 +15,13 @@ use crate::parallel::prelude::*;
 use super::coefficient_table::{IsCancelled, store};
 use super::kernel::{self, BlockDisplacements, CoefficientLanes, lanes_per_block};
 use super::lanes::{LANES, gather};
-use super::measured::MAX_SUBDIVISION_DEPTH;
 use super::posed_map::PosedMap;
 use super::rest_deformation::RestDeformation;
 use super::workspace::Workspace;
 use crate::geometry::{Grid, Point};
 
+/// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
+pub(super) const MAX_SUBDIVISION_DEPTH: usize = 4;
 /// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the
 /// counters of its unit.
 const ENTRY_BYTES: usize = 96;

@@ -311,4 +311,33 @@ mod tests {
             drop(ticket.unwrap());
         }
     }
+
+    /// Of 68 points at alpha 1 there is no table: each pose sums their weights.
+    #[tokio::test]
+    async fn a_step_of_landmarks_without_a_table_is_a_drag_once_its_plan_is_kept() {
+        let (app, client) = (App::new(Config::default()).unwrap(), Client::default());
+        let mut record = record(client, Extent::new(300, 300).unwrap());
+        let place = |k: i32| Point::new(f64::from(k % 9) * 30.0, f64::from(k / 9) * 30.0 + 5.0);
+        record.rest = RestSpec {
+            p: (0..68).map(|k| Handle::Point(place(k))).collect(),
+            ..RestSpec::default()
+        }
+        .into();
+        let upload = (app.admission.upload(QueueKey::session(client, record.id))).await;
+        let (plans, of, upload) = (Arc::clone(&app.plans), record.clone(), upload.unwrap());
+        let setup = upload
+            .run(move |cancel: &Cancel| plans.new_setup(&of.rest, of.extent, None, cancel))
+            .await;
+        let setup = Arc::new(setup.unwrap().unwrap());
+        assert!(setup.plan_bytes().is_none());
+        let plan = app.plans.plan(client, &upload, &setup, Timing::default());
+        drop(plan.await.unwrap());
+        drop(upload);
+        while app.pool().running() > 0 {
+            tokio::task::yield_now().await;
+        }
+        let ticket = admit_step(&app, client, &record, &setup, true).await;
+        assert_eq!(app.pool().load(WorkClass::Drag).running, 1);
+        drop(ticket.unwrap());
+    }
 }

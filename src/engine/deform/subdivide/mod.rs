@@ -16,11 +16,11 @@ use super::coefficient_table::{CoefficientTable, IsCancelled, to_f32};
 use super::curvature::bent_cells;
 use super::interpolated::EvenLines;
 use super::interpolated_block::InterpolatedBlock;
-use super::measured::{MAX_SUBDIVISION_DEPTH, Measured, MeasuredCells, edge_level, split_error};
+use super::measured::{Measured, MeasuredCells, edge_level, split_error};
 use super::posed_cells::PosedCells;
 use super::posed_map::PosedMap;
 use super::samples::{CellSamples, sample_error};
-use super::subdivision_cache::{Posing, SubdivisionCache, group_len};
+use super::subdivision_cache::{MAX_SUBDIVISION_DEPTH, Posing, SubdivisionCache, group_len};
 use super::{Pose, RestDeformation};
 use crate::geometry::{Grid, Mesh, Orientation, Point, SubdividedCell, Subdivision};
 
