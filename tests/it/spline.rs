@@ -611,7 +611,7 @@ fn many_points_are_posed_without_a_table_and_quickly() {
             has_table,
             "{count} {method:?}"
         );
-        // A drag of it is one, with a table or without.
+        // Steps of its drags are admitted as drags, with a table or without.
         assert!(setup.is_quickly_posed(), "{count} {method:?}");
     }
     assert!(
