@@ -332,7 +332,11 @@ impl PointMap for MovingLeastSquares {
             _ if exact => None,
             PosedFrom::Coefficients => None,
             PosedFrom::SingleSums => Some(Box::new(SingleSums::new(points, d, falloff, set.form))),
-            PosedFrom::Moments => Some(Box::new(MomentInputs::new(points, d, falloff, set.form))),
+            PosedFrom::Moments => {
+                let are_tiled = MomentInputs::are_tiled(falloff);
+                let inputs = MomentInputs::new(points, d, falloff, set.form, are_tiled);
+                Some(Box::new(inputs))
+            }
         }
     }
 

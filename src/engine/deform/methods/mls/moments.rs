@@ -98,27 +98,9 @@ impl<'a> MomentInputs<'a> {
         falloff.alpha() <= MOST_TILED
     }
 
-    /// `d`: the displacements of the points, px.
+    /// `d`: the displacements of the points, px; without tiles, all points are summed at every
+    /// position, which is quicker for a few positions.
     pub(in crate::deform) fn new(
-        points: &'a [PointSource],
-        d: &'a [Vec2],
-        falloff: Falloff,
-        form: CoefficientForm,
-    ) -> Self {
-        Self::with_tiles(points, d, falloff, form, Self::are_tiled(falloff))
-    }
-
-    /// Sums over all points at every position: for a few positions, tiles are not worth their time.
-    pub(super) fn without_tiles(
-        points: &'a [PointSource],
-        d: &'a [Vec2],
-        falloff: Falloff,
-        form: CoefficientForm,
-    ) -> Self {
-        Self::with_tiles(points, d, falloff, form, false)
-    }
-
-    fn with_tiles(
         points: &'a [PointSource],
         d: &'a [Vec2],
         falloff: Falloff,
@@ -436,7 +418,8 @@ mod tests {
         let points = &field.set.sources.points;
         let alpha = field.parameters().get("alpha").unwrap();
         let falloff = Falloff::new(alpha, false).unwrap();
-        let moments = MomentInputs::new(points, pose.displacements(), falloff, field.form());
+        let (d, are_tiled) = (pose.displacements(), MomentInputs::are_tiled(falloff));
+        let moments = MomentInputs::new(points, d, falloff, field.form(), are_tiled);
         moments.displaced_at(level, places, &|| false).unwrap()
     }
 

@@ -139,7 +139,8 @@ impl<'a> SingleSums<'a> {
         if again.is_empty() {
             return Some(out);
         }
-        let new = || MomentInputs::without_tiles(self.points, self.d, self.falloff, self.form);
+        // Tiles are not worth their time for the few positions.
+        let new = || MomentInputs::new(self.points, self.d, self.falloff, self.form, false);
         let there: Vec<Point> = again.iter().map(|index| places[*index]).collect();
         let moved = (self.in_double.get_or_init(new)).displaced_at(level, &there, cancelled)?;
         for (index, moved) in again.into_iter().zip(moved) {
