@@ -84,10 +84,6 @@ impl MeasuredCells {
         self.position(*cell).map(|at| &self.known[at].1)
     }
 
-    pub(super) fn get_mut(&mut self, cell: u32) -> Option<&mut Measured> {
-        self.position(cell).map(|at| &mut self.known[at].1)
-    }
-
     pub(super) fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
         let index = &mut self.index[cell as usize];
         if *index == 0 {

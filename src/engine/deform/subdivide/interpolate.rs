@@ -7,6 +7,8 @@ use crate::deform::measured::{Measured, is_convex, on_edge};
 
 /// Vertices may be interpolated if they are off by at most this share of the tolerance.
 const INTERPOLATED_TOLERANCE_SHARE: f32 = 0.35;
+/// The most times that a cell is halved by interpolated vertices.
+const MOST_INTERPOLATED: u8 = 2;
 /// Vertices of a cell that is not halved.
 const CORNERS: usize = 4;
 
@@ -19,57 +21,91 @@ struct HalvedCell {
     halves: [[f32; 2]; 5],
 }
 
+/// What interpolation gives for a cell.
+enum InterpolationOutcome {
+    /// It needs no halving: nothing is kept of it.
+    Flat,
+    /// It needs no more than two halvings, and interpolated vertices suffice for them.
+    Halved(Measured),
+    /// Its vertices must be exact.
+    Fails,
+}
+
 impl PoseMeasurement<'_> {
     /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than
-    /// twice. If not, its vertices will be exact.
-    pub(super) fn interpolate(&mut self, cell: u32) -> bool {
+    /// twice. If not, its vertices will be exact. `block`: the cells that were interpolated last.
+    pub(super) fn interpolate(&mut self, cell: u32, block: &mut Option<InterpolatedBlock>) -> bool {
+        let outcome = self.interpolation(cell, block);
+        if let InterpolationOutcome::Flat = outcome {
+            return true;
+        }
         let corners = self.posed.corners(cell);
-        if let Some(known) = self.cells.get_mut(cell) {
-            // Measured once by exact vertices: interpolation has failed here before.
-            if known.is_exact {
-                return false;
-            }
-            // Interpolated before, and now a neighbour or a handle wants more: the cell begins
-            // again with exact vertices, because two kinds in one cell would leave a step between
-            // them.
-            if known.depth > 0 {
-                *known = Measured {
-                    least: known.least,
-                    ..Measured::new(corners)
-                };
-                known.is_exact = true;
-                return false;
+        let known = self.cells.get_or_insert(cell, corners);
+        if let InterpolationOutcome::Halved(halved) = outcome {
+            // All of its vertices are paid for, or none.
+            if let Some(left) = self.left.checked_sub(halved.vertices.len() - CORNERS) {
+                (self.left, *known) = (left, halved);
+                return true;
             }
         }
-        let (tolerance, size) = (self.tolerance(), self.posed.size(cell));
+        // A cell that was interpolated, of which a neighbour or a handle now wants more, begins
+        // again: two kinds of vertices in one cell would leave a step between them.
+        if !known.is_exact {
+            *known = Measured {
+                least: known.least,
+                is_exact: true,
+                ..Measured::new(corners)
+            };
+        }
+        false
+    }
+
+    /// What interpolation gives for a cell.
+    fn interpolation(
+        &self,
+        cell: u32,
+        block: &mut Option<InterpolatedBlock>,
+    ) -> InterpolationOutcome {
+        let known = self.cells.get(&cell);
+        if known.is_some_and(|known| known.is_exact || known.depth > 0) {
+            // Its vertices are exact already, or it was interpolated and now needs more.
+            return InterpolationOutcome::Fails;
+        }
+        let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
+        let tolerance = self.tolerance();
         // A handle or a fold in the cell is what a polynomial through the neighbours cannot see.
         let is_open =
             self.is_smooth && self.samples.of(cell).is_empty() && is_convex(&corners, size);
-        let halved = if is_open { self.halved(cell) } else { None };
-        if let Some(halved) =
+        let halved = if is_open {
+            self.halved(cell, block)
+        } else {
+            None
+        };
+        let Some(HalvedCell { off, error, halves }) =
             halved.filter(|halved| halved.off <= INTERPOLATED_TOLERANCE_SHARE * tolerance)
-        {
-            let HalvedCell { off, error, .. } = halved;
-            // It needs no halving: neither its own error nor what the interpolation may be off
-            // exceeds the tolerance. Nothing is kept of it.
-            if self.cells.get(&cell).is_none() && self.between(cell, error + off) <= tolerance {
-                return true;
+        else {
+            return InterpolationOutcome::Fails;
+        };
+        // Neither its own error nor what the interpolation may be off exceeds the tolerance.
+        if known.is_none() && self.between(cell, error + off) <= tolerance {
+            return InterpolationOutcome::Flat;
+        }
+        let mut halved = Measured {
+            least: known.map_or(0, |known| known.least),
+            ..Measured::halved(corners, halves, error)
+        };
+        for depth in 1..=self.deepest.min(MOST_INTERPOLATED) {
+            if depth > 1 {
+                let Some(interpolated) = self.interpolated(cell) else {
+                    break;
+                };
+                halved.deepen(&interpolated.quarters(), size);
             }
-            if self.halve_by(cell, &halved, corners) {
-                return true;
-            }
-            let quarters = self.interpolated(cell).map(|halved| halved.quarters());
-            if quarters.is_some_and(|quarters| self.deepen_by(cell, &quarters, off)) {
-                return true;
+            if self.suffices(cell, &mut halved, off) {
+                return InterpolationOutcome::Halved(halved);
             }
         }
-        let known = self.cells.get_or_insert(cell, corners);
-        *known = Measured {
-            least: known.least,
-            is_exact: true,
-            ..Measured::new(corners)
-        };
-        false
+        InterpolationOutcome::Fails
     }
 
     fn interpolated(&self, cell: u32) -> Option<Interpolated<'_>> {
@@ -78,15 +114,15 @@ impl PoseMeasurement<'_> {
     }
 
     /// Interpolates the first halving of a cell, in a block where there is one.
-    fn halved(&mut self, cell: u32) -> Option<HalvedCell> {
+    fn halved(&self, cell: u32, block: &mut Option<InterpolatedBlock>) -> Option<HalvedCell> {
         let place = |block: &Option<InterpolatedBlock>| block.as_ref()?.place(cell);
-        if place(&self.block).is_none() {
+        if place(block).is_none() {
             let columns = self.mesh.grid().columns() - 1;
             let (i, j) = (cell % columns, cell / columns);
-            let block = InterpolatedBlock::new(self.mesh, self.even, i, j);
-            self.block = block.or(self.block.take());
+            let fresh = InterpolatedBlock::new(self.mesh, self.even, i, j);
+            *block = fresh.or(block.take());
         }
-        if let Some((place, block)) = place(&self.block).zip(self.block.as_ref()) {
+        if let Some((place, block)) = place(block).zip(block.as_ref()) {
             return Some(HalvedCell {
                 off: block.off(place),
                 error: block.error(place),
@@ -103,44 +139,13 @@ impl PoseMeasurement<'_> {
         })
     }
 
-    /// Halves a cell once by interpolated vertices. Whether they suffice.
-    fn halve_by(&mut self, cell: u32, halved: &HalvedCell, corners: [[f32; 2]; 4]) -> bool {
-        let known = self.cells.get_or_insert(cell, corners);
-        if self.deepest == 0 || halved.halves.len() > self.left {
-            return false;
-        }
-        *known = Measured {
-            least: known.least,
-            ..Measured::halved(corners, halved.halves, halved.error)
-        };
-        self.suffices(cell, halved.off)
-    }
-
-    /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f.
-    /// Whether they suffice.
-    fn deepen_by(&mut self, cell: u32, vertices: &[[f32; 2]], off: f32) -> bool {
-        let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
-        let known = self.cells.get_or_insert(cell, corners);
-        if known.depth >= self.deepest || vertices.len() > self.left {
-            return false;
-        }
-        known.deepen(vertices, size);
-        self.suffices(cell, off)
-    }
-
-    /// Whether the interpolated vertices of a cell, which may be `off` by that much, suffice; if
-    /// they do, they are paid for.
-    fn suffices(&mut self, cell: u32, off: f32) -> bool {
-        let known = self.cells.get_mut(cell).expect("is there");
+    /// Whether the interpolated vertices of a cell, which may be `off` by that much, suffice. Its
+    /// last error then includes `off`.
+    fn suffices(&self, cell: u32, halved: &mut Measured, off: f32) -> bool {
         // `decide` relies on a part of this error for the next level; divided by that part, `off`
         // counts there in full.
-        known.errors[usize::from(known.depth) - 1] += off / HALVED_ERROR_SHARE;
-        let known = self.cells.get(&cell).expect("is there");
-        let suffices = matches!(self.decide(cell, known), Decision::Draw(_));
-        if suffices {
-            self.left -= known.vertices.len() - CORNERS;
-        }
-        suffices
+        halved.errors[usize::from(halved.depth) - 1] += off / HALVED_ERROR_SHARE;
+        matches!(self.decide(cell, halved), Decision::Draw(_))
     }
 
     /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours

@@ -15,7 +15,6 @@ use std::cmp::Ordering;
 use super::coefficient_table::{CoefficientTable, IsCancelled, to_f32};
 use super::curvature::bent_cells;
 use super::interpolated::EvenLines;
-use super::interpolated_block::InterpolatedBlock;
 use super::measured::{Measured, MeasuredCells, edge_level, split_error};
 use super::posed_cells::PosedCells;
 use super::posed_map::PosedMap;
@@ -119,7 +118,6 @@ impl Subdivider<'_> {
             subdivider: self,
             mesh,
             even: EvenLines::of(grid),
-            block: None,
             samples,
             posed: PosedCells::of(mesh),
             cells: MeasuredCells::new(grid.len()),
@@ -153,8 +151,6 @@ struct PoseMeasurement<'a> {
     subdivider: &'a Subdivider<'a>,
     mesh: &'a Mesh,
     even: EvenLines,
-    /// The cells that were interpolated last; cells come row by row.
-    block: Option<InterpolatedBlock>,
     samples: CellSamples,
     posed: PosedCells<'a>,
     cells: MeasuredCells,
@@ -228,7 +224,9 @@ impl PoseMeasurement<'_> {
             // first. A stable sort is faster here: most of them are in this order already.
             pending.sort();
             pending.dedup();
-            pending.retain(|&cell| !self.interpolate(cell));
+            // Cells come row by row.
+            let mut block = None;
+            pending.retain(|&cell| !self.interpolate(cell, &mut block));
             // Cells of one depth are computed together, as one block of vertices: that is what the
             // kernels are fast at.
             let mut by_depth = vec![Vec::new(); self.deepest.into()];

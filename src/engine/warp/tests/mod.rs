@@ -31,7 +31,7 @@ use super::{
     RestSpec, Warning, WarpError,
 };
 use crate::codec::Format;
-use crate::deform::Handle;
+use crate::deform::{Handle, SubdividedMesh, Subdivider};
 use crate::geometry::Point;
 use crate::pixmap::Extent;
 
@@ -280,6 +280,55 @@ fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted()
         "{:?}",
         posed.report()
     );
+}
+
+#[test]
+fn no_budget_of_vertices_is_exceeded_by_a_single_one() {
+    let case = random(
+        extent(160, 120),
+        Kind {
+            points: 5,
+            lines: 0,
+            reach: 0.1,
+        },
+        Method::Rigid,
+        1.0,
+        1,
+    );
+    let rest = RestSpec {
+        grid: GridSpec::Tolerance(0.05),
+        ..case.rest
+    };
+    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default(), &|| false).unwrap();
+    let (plan, pose) = (setup.plan(&|| false).unwrap(), setup.pose(&case.q).unwrap());
+    let mesh = setup.mesh(&plan, None, &pose, &|| false).unwrap().0;
+    let subdivided = |vertices: usize| {
+        let subdivider = Subdivider {
+            field: setup.field(),
+            rows: &plan.exact,
+            f: None,
+            tolerance: 0.002,
+            drawn_within: 0.0,
+            folded: None,
+            vertices,
+        };
+        subdivider.subdivide(&mesh, &pose, &|| false).unwrap()
+    };
+    let inside = |subdivided: &SubdividedMesh| -> usize {
+        let cells = subdivided.subdivision.cells().iter();
+        cells.map(|cell| cell.side() * cell.side() - 4).sum()
+    };
+    let needed = inside(&subdivided(usize::MAX));
+    assert!(needed > 2_000, "{needed}");
+    // A cell that is halved twice has 21: all remainders of that.
+    for vertices in (0..64).chain(needed - 64..needed) {
+        let subdivided = subdivided(vertices);
+        let drawn = inside(&subdivided);
+        assert!(
+            drawn <= vertices && !subdivided.exceeded.is_empty(),
+            "{drawn} of {vertices}, {needed} needed"
+        );
+    }
 }
 
 #[test]
