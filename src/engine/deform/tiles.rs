@@ -6,11 +6,6 @@
 //! Tiles are made when a position first needs them. Which tile a position belongs to, and what that
 //! tile knows, depends on the sources alone: neither other positions nor threads change a bit.
 
-#![expect(
-    clippy::needless_range_loop,
-    reason = "loops over lanes, nodes and sums are written alike, whatever they index"
-)]
-
 use std::fmt::Debug;
 use std::sync::OnceLock;
 
@@ -24,6 +19,11 @@ use crate::parallel::prelude::*;
 pub(super) const TILE_LANES: usize = 8;
 /// Sources whose kernel is computed at once: a loop long enough that powers are vectorised.
 const AT_ONCE: usize = 32;
+/// Sums that are added in one pass over the sources: with more, AVX2 has no registers for them, and
+/// each source waits until those of the one before are in memory.
+const SUMS_AT_ONCE: usize = 4;
+/// Columns of nodes that are summed in one pass, for the same reason.
+const COLUMNS_AT_ONCE: usize = 4;
 /// The root's side in extents of the sources: positions beyond it are computed by plain sums.
 const ROOT_EXTENTS: f64 = 64.0;
 const MOST_LEVELS: u32 = 16;
@@ -230,12 +230,7 @@ impl<K: RadialKernel, const SUMS: usize, const NODES: usize> Tiles<K, SUMS, NODE
         for k in 0..TILE_LANES {
             // Positions of a row of the grid share what is summed down the columns of nodes.
             if k == 0 || y[k] != y[k - 1] {
-                line = [[0.0; SUMS]; NODES];
-                for j in 0..NODES {
-                    for i in 0..NODES {
-                        line[i] = plus(line[i], down[j][k], tile.far[j * NODES + i]);
-                    }
-                }
+                line = down_columns(&tile.far, &down.map(|down| down[k]));
             }
             let mut at = [0.0; SUMS];
             for i in 0..NODES {
@@ -384,12 +379,7 @@ impl<K: RadialKernel, const SUMS: usize, const NODES: usize> LaneWork
             // Down first, then across: 2 n^3 products instead of n^4. The degree is the same, so
             // this step adds no error (mathematics 7.4).
             for (down, out) in self.halves[1].iter().zip(sums.chunks_exact_mut(NODES)) {
-                let mut line = [[0.0; SUMS]; NODES];
-                for j in 0..NODES {
-                    for i in 0..NODES {
-                        line[i] = plus(line[i], down[j], self.of_whole[j * NODES + i]);
-                    }
-                }
+                let line = down_columns(self.of_whole, down);
                 for (across, out) in self.halves[0].iter().zip(out) {
                     for i in 0..NODES {
                         *out = plus(*out, across[i], line[i]);
@@ -414,6 +404,28 @@ impl<K: RadialKernel, const SUMS: usize, const NODES: usize> LaneWork
         }
         sums
     }
+}
+
+/// The sums down each column of nodes, times the weight of each line.
+#[cfg_attr(not(optimized_for_size), inline(always))]
+#[cfg_attr(optimized_for_size, optimize(speed), inline(never))]
+fn down_columns<const SUMS: usize, const NODES: usize>(
+    nodes: &[[f64; SUMS]],
+    weights: &[f64; NODES],
+) -> [[f64; SUMS]; NODES] {
+    const { assert!(NODES.is_multiple_of(COLUMNS_AT_ONCE)) };
+    let mut sums = [[0.0; SUMS]; NODES];
+    let fours = sums.as_chunks_mut::<COLUMNS_AT_ONCE>().0;
+    for (sums, first) in fours.iter_mut().zip((0..).step_by(COLUMNS_AT_ONCE)) {
+        let mut at = *sums;
+        for (line, weight) in nodes.chunks_exact(NODES).zip(weights) {
+            for (at, node) in at.iter_mut().zip(&line[first..][..COLUMNS_AT_ONCE]) {
+                *at = plus(*at, *weight, *node);
+            }
+        }
+        *sums = at;
+    }
+    sums
 }
 
 /// By value: sums in memory that may overlap are not vectorised.
@@ -441,13 +453,22 @@ pub(super) fn add_sources<K: RadialKernel, const SUMS: usize>(
             *w = squared_distances(source.p, x, y);
         }
         kernel.weights_from_squares(weights[..sources.len()].as_flattened_mut());
-        let mut at = *sums;
+        let (fours, others) = sums.as_chunks_mut::<SUMS_AT_ONCE>();
+        for (sums, first) in fours.iter_mut().zip((0..).step_by(SUMS_AT_ONCE)) {
+            let mut at = *sums;
+            for (w, source) in weights.iter().zip(sources) {
+                let factors = &source.factors[first..][..SUMS_AT_ONCE];
+                for s in 0..SUMS_AT_ONCE {
+                    at[s] = plus(at[s], factors[s], *w);
+                }
+            }
+            *sums = at;
+        }
         for (w, source) in weights.iter().zip(sources) {
-            for s in 0..SUMS {
-                at[s] = plus(at[s], source.factors[s], *w);
+            for (s, sum) in (SUMS - others.len()..).zip(&mut *others) {
+                *sum = plus(*sum, source.factors[s], *w);
             }
         }
-        *sums = at;
     }
 }
 
