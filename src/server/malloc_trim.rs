@@ -19,8 +19,10 @@ const MIN_TRIM_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_CHOSEN: usize = 4;
 /// On larger machines, any thread uses any arena.
 const PROCESSORS_PER_ARENA: usize = 4;
-/// Larger blocks are mapped by themselves. Frames of a drag are made of smaller ones.
-const MMAP_THRESHOLD: c_int = 4 << 20;
+/// Larger blocks are mapped by themselves, and returned as soon as they are freed: a trim of what
+/// many request bodies have left keeps drags from their arena for 150 ms. Frames of a drag are made
+/// of smaller ones.
+const MMAP_THRESHOLD: c_int = 1 << 20;
 /// High, or a drag that frees its frame would return what its next frame takes. But a trim leaves
 /// that much of each arena but the main one.
 const TRIM_THRESHOLD: c_int = 16 << 20;
