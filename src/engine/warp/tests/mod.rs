@@ -302,12 +302,12 @@ fn no_budget_of_vertices_is_exceeded_by_a_single_one() {
     let setup = ResolvedRest::new(&rest, case.extent, &Limits::default(), &|| false).unwrap();
     let (plan, pose) = (setup.plan(&|| false).unwrap(), setup.pose(&case.q).unwrap());
     let mesh = setup.mesh(&plan, None, &pose, &|| false).unwrap().0;
-    let subdivided = |vertices: usize| {
+    let subdivided = |tolerance: f64, vertices: usize| {
         let subdivider = Subdivider {
             field: setup.field(),
             rows: &plan.exact,
             f: None,
-            tolerance: 0.002,
+            tolerance,
             drawn_within: 0.0,
             folded: None,
             vertices,
@@ -318,16 +318,18 @@ fn no_budget_of_vertices_is_exceeded_by_a_single_one() {
         let cells = subdivided.subdivision.cells().iter();
         cells.map(|cell| cell.side() * cell.side() - 4).sum()
     };
-    let needed = inside(&subdivided(usize::MAX));
-    assert!(needed > 2_000, "{needed}");
-    // A cell that is halved twice has 21: all remainders of that.
-    for vertices in (0..64).chain(needed - 64..needed) {
-        let subdivided = subdivided(vertices);
-        let drawn = inside(&subdivided);
-        assert!(
-            drawn <= vertices && !subdivided.exceeded.is_empty(),
-            "{drawn} of {vertices}, {needed} needed"
-        );
+    for tolerance in [0.05, 0.02, 0.01, 0.005, 0.002, 0.001] {
+        let needed = inside(&subdivided(tolerance, usize::MAX));
+        assert!(needed > 200, "{tolerance}: {needed}");
+        // A cell that is halved once has 5, and one that is halved twice 21: all remainders.
+        for vertices in 0..200 {
+            let subdivided = subdivided(tolerance, vertices);
+            let drawn = inside(&subdivided);
+            assert!(
+                drawn <= vertices && !subdivided.exceeded.is_empty(),
+                "{tolerance}: {drawn} of {vertices}, {needed} needed"
+            );
+        }
     }
 }
 
